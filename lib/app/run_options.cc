@@ -263,6 +263,7 @@ std::string RunReport::json() const {
                        {"failed", m.failed},
                        {"dropped", m.dropped},
                        {"off", m.off},
+                       {"unended", m.unended},
                        {"latency_us", times(m.latencies_us)}});
   for (const runtime::RouteReport& c : r.routes)
     chains.push_back({{"name", c.name},

@@ -126,13 +126,15 @@ bool lock_memory() {
   return mlockall(unlimited ? MCL_CURRENT | MCL_FUTURE : MCL_CURRENT) == 0;
 }
 
+namespace {
+
 // Three numbers: ns on a core, ns in a run queue, how often it got a core (kernel: proc_pid_schedstat).
-// The second is added to when it gets one, so that who asks for its own time has all of it. All three
-// are 0 where nobody counts, which can be a matter of the kernel's command line (nodelayacct, 5.10).
-std::optional<std::int64_t> without_core_ns() {
-  thread_local const UniqueFd file(open("/proc/thread-self/schedstat", O_RDONLY | O_CLOEXEC));
+// The second is added to when it gets one, so that who asks for its own time has all of it, and so has who
+// asks for that of a thread that sleeps. All three are 0 where nobody counts, which can be a matter of the
+// kernel's command line (nodelayacct, 5.10).
+std::optional<std::int64_t> waited_by(int schedstat) {
   char text[96];
-  const ssize_t size = pread(file.get(), text, sizeof text - 1, 0);
+  const ssize_t size = pread(schedstat, text, sizeof text - 1, 0);
   if (size <= 0) return std::nullopt;
   text[size] = 0;
   std::int64_t ran = 0, waited = 0, times = 0;
@@ -140,6 +142,28 @@ std::optional<std::int64_t> without_core_ns() {
       times == 0)
     return std::nullopt;
   return waited;
+}
+
+}  // namespace
+
+std::optional<std::int64_t> without_core_ns() {
+  thread_local const UniqueFd file(open("/proc/thread-self/schedstat", O_RDONLY | O_CLOEXEC));
+  return waited_by(file.get());
+}
+
+std::optional<std::int64_t> without_core_ns(pid_t asleep) {
+  const std::string folder = "/proc/self/task/" + std::to_string(asleep);
+  const UniqueFd stat(open((folder + "/stat").c_str(), O_RDONLY | O_CLOEXEC));
+  char text[512];
+  const ssize_t size = pread(stat.get(), text, sizeof text - 1, 0);
+  if (size <= 0) return std::nullopt;
+  text[size] = 0;
+  const char* behind_name = std::strrchr(text, ')');  // which may have any bytes
+  if (behind_name == nullptr || std::strlen(behind_name) < 3 ||
+      std::strchr("SDTt", behind_name[2]) == nullptr)
+    return std::nullopt;
+  const UniqueFd schedstat(open((folder + "/schedstat").c_str(), O_RDONLY | O_CLOEXEC));
+  return waited_by(schedstat.get());
 }
 
 void set_thread_name(const std::string& name) {

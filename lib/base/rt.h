@@ -45,6 +45,8 @@ bool lock_memory();
 /// For how long the calling thread could have run so far, and had no core: all else of its time it ran,
 /// or slept. nullopt: this kernel does not count it, or /proc is not there.
 [[nodiscard]] std::optional<std::int64_t> without_core_ns();
+/// The same of another thread of this process; nullopt, too, where that one has or wants a core now.
+[[nodiscard]] std::optional<std::int64_t> without_core_ns(pid_t asleep);
 /// Cut to the kernel's 15 characters.
 void set_thread_name(const std::string& name);
 

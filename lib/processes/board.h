@@ -137,6 +137,7 @@ struct alignas(64) ParameterLine {
 
 /// Jobs of one XNode that has limits (watch.h).
 struct alignas(64) XNodeLine {
+  char name[kBoardNameBytes] = {}, module[kBoardNameBytes] = {};  ///< [H] before the run
   // [M]; overruns: of the budget
   std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};
   std::atomic<std::int64_t> longest_ns{};  ///< [M]
@@ -144,6 +145,14 @@ struct alignas(64) XNodeLine {
   /// scenario in force covered.
   std::atomic<std::uint64_t> over_wcet{};
   std::atomic<std::int64_t> over_ns{};
+  /// [M] jobs longer than that so far, which have not ended: at the last look of their process's watchdog.
+  /// For how long the longest has run, and its Limits::wcet_ns. Without tables.
+  std::atomic<std::uint32_t> unended{};
+  std::atomic<std::int64_t> unended_ns{}, unended_wcet_ns{};
+  /// [M] calls of the backend that should suspend its work, or resume it, and failed; and on which XPU the last
+  /// one did, by the platform's order.
+  std::atomic<std::uint64_t> failed_suspends{}, failed_resumes{};
+  std::atomic<std::uint32_t> failed_on{};
   /// With tables: the longest job since the hub last looked, and by which of them it ran, as one word.
   /// [M] raises it, [H] takes it. 0: there was none.
   std::atomic<std::uint64_t> seen_job{};
@@ -164,6 +173,10 @@ struct alignas(64) XNodeLine {
   void past(std::int64_t ns, std::uint32_t table) {
     keep_largest(past_job, word(ns, table));
     past_jobs.fetch_add(1);
+  }
+  /// One of `unended` is over, as a job that is counted: nobody sees it missing in between.
+  void ended() {
+    if (unended.fetch_sub(1) == 1) unended_ns.store(0);
   }
   void over(std::uint64_t more, std::int64_t by_ns) {
     over_wcet.fetch_add(more, std::memory_order_relaxed);

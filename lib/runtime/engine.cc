@@ -10,6 +10,7 @@
 #include "processes/parameters.h"
 #include "runtime/routes.h"
 #include "session/notes.h"
+#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -62,6 +63,13 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (e.role_->leads())
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
+  if (e.role_->leads())
+    for (std::size_t n = 0; n < e.graph_.nodes.size(); ++n) {
+      const Graph::Node& node = e.graph_.nodes[n];
+      name_line(board.xnode(n).name, node.name);
+      name_line(board.xnode(n).module,
+                e.graph_.modules[static_cast<std::size_t>(node.module)].name);
+    }
   if (e.role_->leads())
     for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
       const Xpu& xpu = session.platform.xpus[x];
@@ -138,22 +146,45 @@ Result<RunReport> Engine::run_all() {
   if (!begun) {
     role_->end();
     stop_workers();
-    return report();
+    RunReport nothing = report();
+    nothing.not_complete = "it was told to stop before it began";
+    add_note(nothing.note, nothing.not_complete);
+    return nothing;
   }
   XAUTO_TRY(releaser_->run(placing_.fifo.sources));
   const bool drained = releaser_->wait_drained();
   role_->end();
   stop_workers();
+  if (!drained) ledger_->give_up(waiting());
   RunReport result = report();
+  std::string stuck_calls;
   role_->gather(result);
   result.recording_error = releaser_->close(result.releases);
   // A run without an end of its own is complete when it has been told to stop.
   const bool endless = session_.activations == 0 && session_.duration_us == 0;
   result.complete = drained && (!stop_.load() || endless);
-  if (!drained) add_note(result.note, ledger_->what_did_not_end());
+  // Its job may have ended without having been suspended; whoever made the call waits for ever.
+  for (const auto& worker : wiring_->workers())
+    if (const std::string call = worker->stuck_call(); !call.empty()) {
+      result.complete = false;
+      add_note(stuck_calls, call + " never returned");
+    }
+  if (!drained) add_note(result.not_complete, ledger_->what_did_not_end());
+  add_note(result.not_complete, stuck_calls);
+  if (!result.complete && result.not_complete.empty())
+    result.not_complete = "it was told to stop before its end";
+  add_note(result.note, result.not_complete);
   for (const std::string& note : releaser_->notes()) add_note(result.note, note);
   XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));
   return result;
+}
+
+/// [module] messages that wait for it here.
+std::vector<std::size_t> Engine::waiting() const {
+  std::vector<std::size_t> waiting;
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m)
+    waiting.push_back(wiring_->module(m) == nullptr ? 0 : wiring_->module(m)->waiting());
+  return waiting;
 }
 
 /// A member's: the counts are on the board, so only notes are left to tell.
@@ -198,6 +229,19 @@ void Engine::tell_preemptions(RunReport& into) const {
   }
 }
 
+void Engine::tell_failed_preemptions(RunReport& into) const {
+  const std::vector<Xpu>& xpus = context_->session.platform.xpus;
+  for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
+    const XNodeLine& line = context_->board.xnode(n);
+    const std::size_t on = line.failed_on.load();
+    FailedPreemptionReport failed{graph_.nodes[n].name, on < xpus.size() ? xpus[on].id : "",
+                                  line.failed_suspends.load(), line.failed_resumes.load()};
+    if (failed.suspends + failed.resumes == 0) continue;
+    for (std::string& text : words_of(failed)) into.unkept.push_back(std::move(text));
+    into.failed_preemptions.push_back(std::move(failed));
+  }
+}
+
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
@@ -212,6 +256,7 @@ RunReport Engine::report() {
                      contexts.shared.load(),   contexts.gated.load(),     contexts.held_up.load(),
                      contexts.misplaced.load()};
   tell_preemptions(result);
+  tell_failed_preemptions(result);
   add_note(result.note, changed_parameters(context_->board));
   if (!releaser_) return result;
   result.broken = releaser_->broken();

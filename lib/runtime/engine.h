@@ -66,9 +66,11 @@ class Engine final : private ModuleHost {
   [[nodiscard]] Result<RunReport> run_all();
   [[nodiscard]] Result<RunReport> run_part();
   void note_chain_ends();
+  [[nodiscard]] std::vector<std::size_t> waiting() const;
   void stop_workers();
   void tell_notes(RunReport& into);
   void tell_preemptions(RunReport& into) const;
+  void tell_failed_preemptions(RunReport& into) const;
   [[nodiscard]] RunReport report();
 
   OneThread thread_;

@@ -25,11 +25,14 @@ HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
                      const std::vector<std::vector<Limits>>& limits)
     : context_(context), wiring_(wiring), role_(role) {
   std::int64_t shortest = 0;
-  bool others = false;
+  bool others = false, claims = false;
   for (const std::vector<Limits>& of_table : limits)
     for (std::size_t n = 0; n < of_table.size(); ++n) {
       const std::int64_t ns = of_table[n].hang_ns;
       const auto module = static_cast<std::size_t>(context_.graph.nodes[n].module);
+      // By tables a job's time decides which one is next, and that is told elsewhere.
+      claims =
+          claims || (of_table[n].wcet_ns > 0 && context_.hosts(module) && !context_.session.tables);
       if (ns <= 0) continue;
       if (context_.hosts(module)) {
         shortest = shortest == 0 ? ns : std::min(shortest, ns);
@@ -40,14 +43,16 @@ HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
       }
     }
   const bool tells = context_.session.tables && !role_.leads();
-  if (shortest == 0 && !others && !tells) return;
+  if (shortest == 0 && !others && !tells && !claims) return;
   std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
   if (tells) period = std::min(period, kTellNs);
-  watchdog_ = std::make_unique<Watchdog>(period, [this, tells](std::int64_t now) {
+  watchdog_ = std::make_unique<Watchdog>(period, [this, tells, claims](std::int64_t now) {
     for (const auto& worker : wiring_.workers()) {
       if (const auto job = worker->find_hung(now)) hung(*worker, *job);
       if (tells) worker->tell_time(now);
+      if (claims) worker->tell_past_wcet(now);
+      if (claims) worker->tell_stuck_call(now);
     }
     role_.looked(now);
   });

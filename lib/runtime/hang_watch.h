@@ -17,8 +17,8 @@ namespace xauto::runtime {
 /// Threads: one, apart from its own.
 class HangWatch {
  public:
-  /// `limits`: [table][graph node]. Starts a thread if anything has a hang limit, or if the times of
-  /// jobs decide which table is next and another process decides.
+  /// `limits`: [table][graph node]. Starts a thread if anything has a hang limit, if worst cases are claimed of
+  /// jobs within their WCETs, or if the times of jobs decide which table is next and another process decides.
   HangWatch(const Context& context, const Wiring& wiring, Role& role,
             const std::vector<std::vector<Limits>>& limits);
   void stop() { watchdog_.reset(); }

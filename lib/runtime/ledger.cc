@@ -37,6 +37,9 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
     asked_for_.push_back(ends || routes_.end_at(context.graph.modules[m].nodes.back()) ? 1 : 0);
   }
   sink_next_.assign(context.graph.modules.size(), 0);
+  released_.resize(context.graph.sources.size());
+  unended_.assign(context.graph.modules.size(), 0);
+  released_for_.assign(context.graph.modules.size(), 0);
   if (!role.leads()) return;
   const Session& session = context.session;
   const bool paced = session.input.empty() && !session.lockstep;
@@ -150,6 +153,13 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
     context_.board.header().overlapping.fetch_add(1, std::memory_order_relaxed);
 }
 
+void Ledger::released(std::size_t source, std::uint64_t sequence, std::int64_t origin_ns) {
+  Released& of = released_[source];
+  if (of.first_ns == 0) of.first_ns = origin_ns;
+  of.next = std::max(of.next, sequence + 1);
+  of.newest_ns = std::max(of.newest_ns, origin_ns);
+}
+
 void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
                   const detail::Origins* origins, bool urgent) {
   ModuleLine& counts = context_.board.module(module);
@@ -260,6 +270,13 @@ void Ledger::forget(int module) {
   const auto m = static_cast<std::size_t>(module);
   ModuleLine& counts = context_.board.module(module);
   counts.in_flight.store(0);
+  for (const int n : context_.graph.modules[m].nodes) {
+    XNodeLine& line = context_.board.xnode(static_cast<std::size_t>(n));
+    const std::uint32_t unended = line.unended.load();  // they died with it, past their WCET
+    line.over(unended, unended > 0 ? line.unended_ns.load() - line.unended_wcet_ns.load() : 0);
+    line.unended.store(0);
+    line.unended_ns.store(0);
+  }
   // It may have died between counting a release and telling: nobody has that result.
   const std::uint64_t settled = counts.settled();
   const std::uint64_t done = counts.activations.load(), told = latencies_[m]->told.load();
@@ -329,11 +346,41 @@ bool Ledger::wait_drained(const std::function<bool()>& idle) {
   return true;
 }
 
+/// 0: its activations are not numbered as releases are.
+std::uint64_t Ledger::released_for(std::size_t module) const {
+  const Graph::Module& of = context_.graph.modules[module];
+  std::uint64_t next = 0;
+  for (std::size_t s = 0; of.numbered && s < released_.size(); ++s)
+    for (const Graph::Subscriber& reader :
+         context_.graph.topics[static_cast<std::size_t>(context_.graph.topic_of_source[s])]
+             .subscribers)
+      if (context_.graph.modules[static_cast<std::size_t>(reader.module)].component == of.component)
+        next = std::max(next, released_[s].next);
+  return next;
+}
+
+void Ledger::give_up(const std::vector<std::size_t>& waiting) {
+  gave_up_ns_ = now_ns();
+  for (std::size_t m = 0; m < unended_.size(); ++m) {
+    const ModuleLine& counts = context_.board.module(static_cast<int>(m));
+    released_for_[m] = released_for(m);
+    unended_[m] = released_for_[m] > 0
+                      ? released_for_[m] - std::min(released_for_[m], counts.settled())
+                      : counts.in_flight.load() + waiting[m];
+  }
+}
+
 std::string Ledger::what_did_not_end() const {
-  const std::uint32_t left = in_flight_.load();
-  return left > 0                     ? std::to_string(left) + " activations did not end"
-         : context_.graph.single_rate ? "a module whose result was not needed did not end"
-                                      : "a module's last activation did not end";
+  std::string text;
+  for (std::size_t m = 0; m < unended_.size(); ++m) {
+    if (unended_[m] == 0) continue;
+    const bool one = unended_[m] == 1;
+    text += (text.empty() ? "" : ", ") + std::to_string(unended_[m]) +
+            (released_for_[m] > 0 ? " of " + std::to_string(released_for_[m]) : "") +
+            (one && released_for_[m] == 0 ? " activation" : " activations") + " of XModule '" +
+            context_.graph.modules[m].name + "'";
+  }
+  return text.empty() ? "messages were under way for ten seconds" : text + " did not end";
 }
 
 std::optional<std::int64_t> Ledger::latency_us(std::uint64_t sequence) const {
@@ -351,6 +398,16 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
     into.num_releases = num_releases_;
     into.lost_releases = lost_releases_;
     into.latencies_us = latencies_us_;
+    into.deadline_misses = deadline_misses_.load();
+    // A run that gave up: they have no result, and most no time left for one.
+    for (const Open& open : open_) {
+      if (gave_up_ns_ == 0 || open.sinks_left == 0) continue;
+      ++into.num_releases;
+      ++into.lost_releases;
+      if (const auto limit_us = context_.session.app.deadline_us;
+          limit_us && gave_up_ns_ - open.origin_ns > *limit_us * 1000)
+        ++into.deadline_misses;
+    }
   }
   std::sort(into.releases.begin(), into.releases.end(),
             [](const Release& a, const Release& b) { return a.sequence < b.sequence; });
@@ -363,13 +420,19 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
                         counts.failed,
                         counts.dropped,
                         counts.off,
-                        {}};
+                        {},
+                        unended_[m]};
     const Guard lock(latencies_[m]->mutex);
     module.latencies_us = latencies_[m]->us;
     into.modules.push_back(std::move(module));
     lost.push_back(counts.failed + counts.dropped);
   }
-  into.routes = routes_.report(lost);
+  Routes::Unended unended{gave_up_ns_, unended_, {}, {}};
+  for (const Released& source : released_) {
+    unended.first_ns.push_back(source.first_ns);
+    unended.newest_ns.push_back(source.newest_ns);
+  }
+  into.routes = routes_.report(lost, gave_up_ns_ > 0 ? &unended : nullptr);
   for (std::size_t n = 0; n < context_.graph.nodes.size(); ++n) {
     // Of the first table that has it.
     const auto of = std::find_if(limits.begin(), limits.end(),
@@ -377,13 +440,14 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
     if (of == limits.end()) continue;
     const Limits& limit = (*of)[n];
     const XNodeLine& line = context_.board.xnode(n);
-    into.xnodes.push_back({context_.graph.nodes[n].name, limit.budget_ns / 1000,
-                           context_.session.tables ? 0 : limit.wcet_ns / 1000, limit.hang_ns / 1000,
-                           line.jobs, line.overruns, line.over_wcet, line.hangs,
-                           line.longest_ns / 1000, line.over_ns / 1000});
+    into.xnodes.push_back(
+        {context_.graph.nodes[n].name, limit.budget_ns / 1000,
+         context_.session.tables ? 0 : limit.wcet_ns / 1000, limit.hang_ns / 1000, line.jobs,
+         line.overruns, line.over_wcet, line.hangs, line.longest_ns / 1000, line.over_ns / 1000,
+         context_.graph.modules[static_cast<std::size_t>(context_.graph.nodes[n].module)].name,
+         line.unended, line.unended_ns / 1000});
   }
   into.overlapping_releases = context_.board.header().overlapping.load();
-  into.deadline_misses = deadline_misses_.load();
   into.several_rates = !context_.graph.single_rate;
 }
 

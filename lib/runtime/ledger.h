@@ -27,6 +27,8 @@ class Ledger {
 
   /// A release of the sensors is about to be published. The releasing thread.
   void open(std::uint64_t sequence, std::int64_t origin_ns);
+  /// ... of `source`, which has that number and that nominal instant. The releasing thread.
+  void released(std::size_t source, std::uint64_t sequence, std::int64_t origin_ns);
   /// Activation `sequence` of `module`, hosted here, has ended. `origins`, `urgent`: see Envelope.
   void done(int module, std::int64_t origin_ns, std::uint64_t sequence,
             const detail::Origins* origins, bool urgent);
@@ -49,7 +51,10 @@ class Ledger {
   /// Several: there is nothing to count by, so until no module has an activation in flight or has
   /// ended one for 100 ms. False: nothing has moved for 10 s. The releasing thread, or `run`'s.
   [[nodiscard]] bool wait_drained(const std::function<bool()>& idle);
-  /// What `wait_drained` waited for in vain, for people.
+  /// `wait_drained` has waited in vain, and no job is ended any more: what has no result is counted as such.
+  /// `waiting`: [module] messages that wait for those that are hosted here. The thread of `run`.
+  void give_up(const std::vector<std::size_t>& waiting);
+  /// After that: of which modules how many, for people.
   [[nodiscard]] std::string what_did_not_end() const;
 
   /// Of a release that is accounted for, one of the last kKeptReleases: -1: it was lost.
@@ -79,7 +84,14 @@ class Ledger {
     Distribution us XAUTO_GUARDED_BY(mutex);
   };
 
+  /// Of a source: what was released so far. Of the releasing thread, then of `run`'s.
+  struct Released {
+    std::uint64_t next = 0;  ///< number of the next one
+    std::int64_t first_ns = 0, newest_ns = 0;
+  };
+
   void show_claims();
+  [[nodiscard]] std::uint64_t released_for(std::size_t module) const;
   [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
   [[nodiscard]] std::int64_t more_pct() const;
   [[nodiscard]] std::vector<std::int64_t> claimed_by(std::size_t table) const;
@@ -115,6 +127,9 @@ class Ledger {
   std::uint64_t num_released_ = 0;  ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};
+  std::vector<Released> released_;                     ///< [source]
+  std::int64_t gave_up_ns_ = 0;                        ///< 0: it did not
+  std::vector<std::uint64_t> unended_, released_for_;  ///< [module] then; released: 0: not known
 
   /// Written once per release and sink, not per job.
   mutable PiMutex mutex_;

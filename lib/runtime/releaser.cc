@@ -489,6 +489,10 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   std::int64_t oldest_ns = INT64_MAX;
   for (const Sample& sample : samples) oldest_ns = std::min(oldest_ns, origin_of(sample));
   ledger_.open(sequence, oldest_ns);
+  for (const Sample& sample : samples)
+    ledger_.released(static_cast<std::size_t>(
+                         context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
+                     sample.sequence, origin_of(sample));
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
     const bool whole = context_.graph.single_rate && !context_.grid.periodic;

@@ -242,13 +242,43 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
   return missed_us;
 }
 
-std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost) const {
+/// Releases without a result whose deadline has passed.
+std::uint64_t Routes::missed_for_good(const Route& route, const Unended& unended) const {
+  if (!route.counts.deadline_us || route.source >= unended.newest_ns.size()) return 0;
+  const std::int64_t newest_ns = unended.newest_ns[route.source],
+                     limit_ns = *route.counts.deadline_us * 1000;
+  if (newest_ns == 0) return 0;
+  if (route.period_ns == 0)
+    return unended.at_ns - newest_ns > limit_ns
+               ? unended.of_module[static_cast<std::size_t>(route.module)]
+               : 0;
+  // Behind samples nobody need know of what was released last: its reader is not released any more.
+  const std::int64_t until_ns =
+      route.through_samples ? *std::max_element(unended.newest_ns.begin(), unended.newest_ns.end())
+                            : unended.at_ns;
+  std::uint64_t missed = 0;
+  // As they are counted where a result knows them.
+  const std::int64_t known_ns = route.last_origin_ns;
+  if (known_ns == 0 && route.through_samples) return 0;
+  const std::int64_t after_ns =
+      known_ns > 0 ? known_ns : unended.first_ns[route.source] - route.period_ns;
+  for (std::int64_t at = newest_ns; at - after_ns > route.period_ns / 2; at -= route.period_ns)
+    if (until_ns - at > limit_ns && !was_off(route, at, unended.at_ns)) ++missed;
+  return missed;
+}
+
+std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost,
+                                        const Unended* unended) const {
   std::vector<RouteReport> result;
   const Guard lock(*mutex_);
   for (const Route& route : routes_) {
     RouteReport counts = route.counts;
     counts.lost = lost[static_cast<std::size_t>(route.module)];
     if (single_rate_ && counts.deadline_us) counts.deadline_misses += counts.lost;
+    if (unended != nullptr) {
+      counts.lost += unended->of_module[static_cast<std::size_t>(route.module)];
+      counts.deadline_misses += missed_for_good(route, *unended);
+    }
     result.push_back(std::move(counts));
   }
   return result;

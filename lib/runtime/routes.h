@@ -65,8 +65,16 @@ class Routes {
   /// chains (by chain). A release in whose table a chain is off, or whose result waited while it was off,
   /// counts for nothing there. At most kKeptClaims calls are remembered; none: all are always there.
   void have(std::int64_t from_ns, std::vector<char> chains);
-  /// `lost`: [module] activations that failed or were dropped.
-  [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
+  /// What a run that gave up has left without a result.
+  struct Unended {
+    std::int64_t at_ns = 0;                ///< when it did
+    std::vector<std::uint64_t> of_module;  ///< activations
+    std::vector<std::int64_t> first_ns,
+        newest_ns;  ///< [source] its first and last release; 0: none
+  };
+  /// `lost`: [module] activations that failed or were dropped. `unended`: null: nothing was left.
+  [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost,
+                                                const Unended* unended = nullptr) const;
 
  private:
   struct Route {
@@ -87,6 +95,7 @@ class Routes {
     std::vector<std::int64_t> claimed_us;  ///< [chain]
     std::int64_t more_pct = 0;
   };
+  [[nodiscard]] std::uint64_t missed_for_good(const Route& route, const Unended& unended) const;
   [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
   struct Have {
     std::int64_t from_ns = 0;

@@ -53,6 +53,8 @@ class Stopwatch {
   };
   /// Any thread: when the job that runs, or ran last, began.
   [[nodiscard]] std::int64_t since_ns() const { return since_.load(std::memory_order_relaxed); }
+  /// Execution thread: as Look::job has the one that runs.
+  [[nodiscard]] std::uint64_t job() const { return job_.load(std::memory_order_relaxed); }
   /// Any thread: the job that runs now, if one does.
   [[nodiscard]] std::optional<Look> look(std::int64_t now_ns) const;
 

@@ -264,10 +264,7 @@ std::vector<std::string> Wiring::stop() {
   const std::int64_t limit = now_ns() + kPatienceNs;
   for (const auto& worker : workers_)
     if (!worker->stop(std::max<std::int64_t>(kPatienceNs / 5, limit - now_ns())))
-      stuck.push_back((worker->in_exec() ? "an exec of " + worker->options().name
-                                         : "a destructor of what an init of " +
-                                               worker->options().name + " made") +
-                      " never returned; its thread was left behind");
+      stuck.push_back(worker->stuck_in() + " never returned; its thread was left behind");
   return stuck;
 }
 

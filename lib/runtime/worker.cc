@@ -9,6 +9,7 @@
 #include <utility>
 
 #include <pthread.h>
+#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -21,6 +22,7 @@ namespace {
 
 constexpr std::uint32_t kQuit = UINT32_MAX;
 constexpr std::int64_t kDestroyNs = 10'000'000'000;  ///< patience with what `init` has made
+constexpr std::int64_t kCallNs = 1'000'000'000;      ///< ... with a call that suspends or resumes
 constexpr std::uint32_t kIdle = 1, kThrough = 2;     ///< Worker::ended_
 
 }  // namespace
@@ -79,6 +81,7 @@ Status Worker::init_nodes() {
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
   XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
   (void)pthread_getcpuclockid(pthread_self(), &cpu_clock_);
+  tid_ = gettid();
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this || std::exchange(placed.here->there, true)) continue;
     detail::Made& made = placed.here->made;
@@ -142,9 +145,14 @@ bool Worker::stop(std::int64_t patience_ns) {
   futex_wake_local(mailbox_, INT_MAX);
   if (port_) port_->interrupt();
   while (exec_.joinable() && ended_.load() == 0 && patient()) futex_wait_local(ended_, 0, kLookNs);
+  // What has made their contexts waits for the management thread, which calls what is the app's.
+  const std::int64_t told_since = now_ns();
+  while (mgmt_.joinable() && managed_.load() == 0 && (patient() || now_ns() - told_since < kCallNs))
+    futex_wait_local(managed_, 0, kLookNs);
+  const bool managed = !mgmt_.joinable() || managed_.load() != 0;
   // Weights take longer to unload than an exec may take to return.
   const std::int64_t idle_since = now_ns();
-  while (exec_.joinable() && ended_.load() == kIdle &&
+  while (managed && exec_.joinable() && ended_.load() == kIdle &&
          (patient() || now_ns() - idle_since < kDestroyNs))
     futex_wait_local(ended_, kIdle, kLookNs);
   const bool returned = !exec_.joinable() || ended_.load() == kThrough;
@@ -154,8 +162,26 @@ bool Worker::stop(std::int64_t patience_ns) {
     else
       exec_.detach();
   }
-  if (mgmt_.joinable()) mgmt_.join();
-  return returned;
+  if (mgmt_.joinable()) {
+    if (managed)
+      mgmt_.join();
+    else
+      mgmt_.detach();
+  }
+  return returned && managed;
+}
+
+std::string Worker::stuck_call() const {
+  const char* call = call_.load();
+  const Placed* placed = call_for_.load();
+  if (call == nullptr || placed == nullptr) return {};
+  return std::string("the ") + call + " of XNode '" + placed->name + "' on " + xpu_name();
+}
+
+std::string Worker::stuck_in() const {
+  if (std::string call = stuck_call(); !call.empty()) return call;
+  return ended_.load() == 0 ? "an exec of " + options_.name
+                            : "a destructor of what an init of " + options_.name + " made";
 }
 
 void Worker::submit(std::size_t node) {

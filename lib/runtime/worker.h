@@ -117,11 +117,16 @@ class Worker {
   /// Waits for the running job, ends both threads. Idempotent. False: its exec has not returned
   /// within `patience_ns`, or what an `init` has made is not destroyed 10 s later. Nothing can end
   /// it but the end of the process, so its thread is left behind; this object must then outlive the
-  /// process.
+  /// process. So it is with a call that suspends or resumes, which may be the app's, a second later.
   bool stop(std::int64_t patience_ns = INT64_MAX);
 
   /// It still takes jobs, or is at one.
   [[nodiscard]] bool in_exec() const { return ended_.load() == 0; }
+  /// Of one that has stopped, or did not in time: a call that suspends or resumes and does not return, for people;
+  /// empty: there is none.
+  [[nodiscard]] std::string stuck_call() const;
+  /// Of one that did not stop in time: what does not return, likewise.
+  [[nodiscard]] std::string stuck_in() const;
 
   /// A job that has run past its hang limit, each once. One thread.
   struct Hung {
@@ -130,6 +135,11 @@ class Worker {
     int module;
   };
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
+  /// Counts a call that suspends or resumes as failed that has not returned for a second. Likewise.
+  void tell_stuck_call(std::int64_t now_ns);
+  /// Tells the board of the job that runs that it is past its WCET, if it is: it may never end. The thread of
+  /// find_hung.
+  void tell_past_wcet(std::int64_t now_ns);
   /// Tells the board for how long the job that runs has had its XPU, if that is watched. Any thread.
   void tell_time(std::int64_t now_ns) const;
 
@@ -156,6 +166,9 @@ class Worker {
   void ask_early();
   void withdraw();
   void manage();
+  [[nodiscard]] Status suspend(const Placed& placed);
+  [[nodiscard]] Status resume(const Placed& placed, const SchedHandle& handle);
+  void tell_failed(const Placed& placed, bool suspend, const std::string& why);
   void tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who);
   [[nodiscard]] Status init_nodes();
   [[nodiscard]] bool may_share() const;
@@ -177,6 +190,7 @@ class Worker {
   void note_failure(const Placed& placed, const std::string& what);
   void begin_timed(const Placed& placed, std::uint64_t sequence);
   [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns) const;
+  [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
   bool end_timed(const Placed& placed);
   void tell_cpu_time();
@@ -204,6 +218,12 @@ class Worker {
   std::thread exec_, mgmt_;
   std::atomic<bool> lost_{false};
   std::atomic<std::uint32_t> managed_{0};  ///< 1: the management thread is through; a futex
+  /// What its backend is told to do, and for whom; null: nothing.
+  std::atomic<const char*> call_{nullptr};
+  std::atomic<const Placed*> call_for_{nullptr};
+  std::atomic<std::int64_t> call_since_ns_{0};
+  std::int64_t told_call_ns_ =
+      0;  ///< of the thread of find_hung: the last one that was stuck began then
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
@@ -211,11 +231,15 @@ class Worker {
   std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
   std::int64_t overslept_ns_ =
       0;  ///< for how long it slept after its hold; of real XPUs that it queues on
-  std::atomic<std::uint64_t> hung_job_{0};             ///< the last one that find_hung found
-  std::atomic<std::int64_t> cpu_since_ns_{0};          ///< of the execution thread's CPU time
-  std::optional<std::int64_t> without_core_since_ns_;  ///< at the begin of the job that runs
-  std::int64_t cpu_told_ns_ = 0;                       ///< ... what is on the board
+  std::atomic<std::uint64_t> hung_job_{0};  ///< the last one that find_hung found
+  /// The last job that was told to be past its WCET while it ran; one more than a job: that one has ended.
+  std::atomic<std::uint64_t> past_job_{0};
+  std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
+  /// At the begin of the job that runs; below 0: nobody counts it.
+  std::atomic<std::int64_t> without_core_since_ns_{-1};
+  std::int64_t cpu_told_ns_ = 0;           ///< ... what is on the board
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
+  pid_t tid_ = 0;                          ///< likewise
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);
 };

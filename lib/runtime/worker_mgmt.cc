@@ -12,6 +12,12 @@
 #include "runtime/worker.h"
 
 namespace xauto::runtime {
+namespace {
+
+constexpr const char *kSuspendCall = "suspend", *kResumeCall = "resume";
+constexpr std::int64_t kStuckCallNs = 1'000'000'000;
+
+}  // namespace
 
 void Worker::manage() {
   rt::set_thread_name(options_.name + "/m");
@@ -45,7 +51,7 @@ void Worker::manage() {
         const std::uint64_t sequence = current & ((std::uint64_t{1} << kSequenceBits) - 1);
         record(XAUTO_EV_SUSPEND, *job, sequence);
         const std::int64_t asked = now_ns();
-        const Status done = backend_->preempt(job->here->made.handle);
+        const Status done = suspend(*job);
         if (done) {
           const std::int64_t now = now_ns();
           suspended.emplace(Suspended{job->here->made.handle, job, sequence, {}, now});
@@ -60,7 +66,7 @@ void Worker::manage() {
           thread_->gave_xpu(now);
           record(XAUTO_EV_SUSPENDED, *job, sequence);
         } else {
-          log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
+          tell_failed(*job, true, done.error().to_string());
         }
         port_->acknowledge(done.has_value());
         break;
@@ -69,8 +75,8 @@ void Worker::manage() {
         if (suspended) {  // otherwise it is back before we came to suspend it, or could not be
           record(XAUTO_EV_RESUME, *suspended->job, suspended->sequence);
           const std::int64_t asked = now_ns();
-          if (const Status done = backend_->restore(suspended->handle); !done)
-            log::warn("{}: not resumed: {}", options_.name, done.error().to_string());
+          if (const Status done = resume(*suspended->job, suspended->handle); !done)
+            tell_failed(*suspended->job, false, done.error().to_string());
           const std::int64_t now = now_ns();
           if (options_.counts != nullptr)
             keep_largest(options_.counts->longest_resume_ns, now - asked);
@@ -98,7 +104,7 @@ void Worker::manage() {
         break;
       case coord::Command::kLost:
       case coord::Command::kInterrupted:
-        if (suspended) (void)backend_->restore(suspended->handle);
+        if (suspended) (void)resume(*suspended->job, suspended->handle);
         suspended.reset();
         watch_.back(now_ns());
         if (command == coord::Command::kInterrupted) return;
@@ -108,6 +114,46 @@ void Worker::manage() {
         break;
     }
   }
+}
+
+/// May never return: `stop` then says of whom.
+Status Worker::suspend(const Placed& placed) {
+  call_for_.store(&placed);
+  call_since_ns_.store(now_ns());
+  call_.store(kSuspendCall);
+  const Status done = backend_->preempt(placed.here->made.handle);
+  call_.store(nullptr);
+  return done;
+}
+
+Status Worker::resume(const Placed& placed, const SchedHandle& handle) {
+  call_for_.store(&placed);
+  call_since_ns_.store(now_ns());
+  call_.store(kResumeCall);
+  const Status done = backend_->restore(handle);
+  call_.store(nullptr);
+  return done;
+}
+
+void Worker::tell_stuck_call(std::int64_t now_ns) {
+  const char* call = call_.load();
+  const std::int64_t since_ns = call_since_ns_.load();
+  if (call == nullptr || since_ns == told_call_ns_ || now_ns - since_ns <= kStuckCallNs) return;
+  told_call_ns_ = since_ns;
+  tell_failed(*call_for_.load(), call == kSuspendCall, "it has not returned for a second");
+}
+
+/// Nobody but the report and whoever looks hears of it: the job that is more urgent waits, or its XPU stands still.
+void Worker::tell_failed(const Placed& placed, bool suspend, const std::string& why) {
+  bool first = true;
+  if (XNodeLine* line = placed.line; line != nullptr) {
+    line->failed_on.store(static_cast<std::uint32_t>(options_.xpu));
+    first = (suspend ? line->failed_suspends : line->failed_resumes).fetch_add(1) == 0;
+  }
+  if (first)
+    log::warn("the work of XNode '{}' was not {} on {}: {} (further failures are only counted)",
+              placed.name, suspend ? "suspended for a more urgent job" : "resumed", xpu_name(),
+              why);
 }
 
 /// Before the coordinator resumes it, so that the trace tells them in this order.
@@ -126,8 +172,9 @@ void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uin
 void Worker::begin_timed(const Placed& placed, std::uint64_t sequence) {
   timed_.store(&placed, std::memory_order_release);
   if (backend_->on_thread() && placed.limited) {
-    without_core_since_ns_ = rt::without_core_ns();
-    if (placed.watched || !without_core_since_ns_) cpu_since_ns_.store(clock_ns(cpu_clock_));
+    without_core_since_ns_.store(rt::without_core_ns().value_or(-1));
+    if (placed.limits.wcet_ns > 0 || placed.watched || without_core_since_ns_.load() < 0)
+      cpu_since_ns_.store(clock_ns(cpu_clock_));
   }
   watch_.begin(now_ns(), sequence);
 }
@@ -144,14 +191,16 @@ std::int64_t Worker::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
 /// run queue. A WCET was measured so, with nobody to wait for: an exec that sleeps for a lock or a file
 /// is on its core.
 std::int64_t Worker::on_core_ns(std::int64_t wall_ns) const {
-  if (!without_core_since_ns_) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
-  const std::int64_t until_ns = rt::without_core_ns().value_or(*without_core_since_ns_);
-  return std::max<std::int64_t>(0, wall_ns - (until_ns - *without_core_since_ns_));
+  const std::int64_t since_ns = without_core_since_ns_.load();
+  if (since_ns < 0) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
+  const std::int64_t until_ns = rt::without_core_ns().value_or(since_ns);
+  return std::max<std::int64_t>(0, wall_ns - (until_ns - since_ns));
 }
 
 /// False: the activation was given up meanwhile.
 bool Worker::end_timed(const Placed& placed) {
   const std::int64_t now = now_ns();
+  const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
   if (holds_) options_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
   if (!placed.limited) return true;
@@ -164,12 +213,15 @@ bool Worker::end_timed(const Placed& placed) {
   // By the certificate a job has its WCET from its hold on: being woken late takes of it.
   const std::int64_t charged_ns = took_ns + overslept_ns_;
   const std::int64_t wcet_ns = placed.limits.wcet_ns, hang_ns = placed.limits.hang_ns;
-  if (wcet_ns > 0 && charged_ns > wcet_ns) {
+  // From here on nobody tells that it has not ended.
+  const bool told = past_job_.exchange(job + 1) == job;
+  if (told || (wcet_ns > 0 && charged_ns > wcet_ns)) {
     if (!placed.watched)
-      line.over(1, charged_ns - wcet_ns);
+      line.over(1, std::max<std::int64_t>(0, charged_ns - wcet_ns));
     else if (hang_ns == 0 || wall_ns <= hang_ns)  // else its XPU counts as lost
       line.past(charged_ns, placed.table);
   }
+  if (told) line.ended();
   keep_largest(line.longest_ns, charged_ns);
   return !chain_.activation->abandoned();
 }
@@ -186,6 +238,35 @@ void Worker::tell_time(std::int64_t now_ns) const {
   const auto again = watch_.look(now_ns);
   if (again && again->job == seen->job && placed->watched)
     placed->line->saw(took_ns, placed->table);
+}
+
+/// By another thread: no more than what it will be charged with. On a real core only what it has run for, as
+/// long as it has or wants one.
+std::int64_t Worker::so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const {
+  if (!backend_->on_thread()) return own_ns(seen.took_ns, now_ns);
+  const std::int64_t since_ns = without_core_since_ns_.load();
+  const auto until_ns = since_ns < 0 ? std::nullopt : rt::without_core_ns(tid_);
+  if (!until_ns) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
+  return std::max<std::int64_t>(0, seen.took_ns - (*until_ns - since_ns));
+}
+
+void Worker::tell_past_wcet(std::int64_t now_ns) {
+  std::uint64_t told = past_job_.load();  // before the look: of what ends meanwhile it is another
+  const auto seen = watch_.look(now_ns);
+  if (!seen) return;
+  const Placed* placed = timed_.load(std::memory_order_acquire);
+  const std::int64_t wcet_ns = placed->limits.wcet_ns;
+  if (wcet_ns <= 0 || placed->watched || seen->took_ns <= wcet_ns) return;
+  const std::int64_t took_ns = so_far_ns(*seen, now_ns);
+  const auto again = watch_.look(now_ns);
+  if (took_ns <= wcet_ns || !again || again->job != seen->job) return;
+  XNodeLine& line = *placed->line;
+  if (told != seen->job) {
+    line.unended.fetch_add(1);
+    if (!past_job_.compare_exchange_strong(told, seen->job)) return line.ended();
+  }
+  line.unended_wcet_ns.store(wcet_ns);
+  keep_largest(line.unended_ns, took_ns);
 }
 
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {

@@ -227,6 +227,13 @@ void ModuleRuntime::fire_all(std::vector<Lost>& lost, Started& started) {
   line_up(lost);
 }
 
+std::size_t ModuleRuntime::waiting() {
+  const Guard lock(mutex_);
+  std::size_t most = 0;
+  for (const InputQueue& queue : queues_) most = std::max(most, queue.waiting.size());
+  return most;
+}
+
 /// Every input has a message, and they belong together. Called with the mutex held.
 bool ModuleRuntime::fresh(std::vector<Lost>& lost) {
   if (overload_.kind == Overload::Kind::kQueue) resolve(lost);  // only there do losses wait

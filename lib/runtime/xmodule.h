@@ -93,6 +93,8 @@ class alignas(64) ModuleRuntime {
     next_ = next;
     for (InputQueue& queue : queues_) queue.expected = next;
   }
+  /// Messages that wait, of the input that has the most. Any thread.
+  [[nodiscard]] std::size_t waiting();
   /// An activation is told to have left before the next one is told to be activated.
   [[nodiscard]] bool one_at_a_time() const { return only_ != nullptr && !watched_; }
   [[nodiscard]] Activation& activation(std::size_t index) { return *activations_[index]; }

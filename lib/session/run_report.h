@@ -26,6 +26,8 @@ struct ModuleReport {
   std::uint64_t activations = 0, failed = 0, dropped = 0;
   std::uint64_t off = 0;      ///< releases in whose table it is off
   Distribution latencies_us;  ///< sinks: origin to done, per activation
+  /// Of a run that gave up: what was released for it and has no result, neither as done nor as lost.
+  std::uint64_t unended = 0;
 };
 
 /// An XNode with limits; see watch.h for what is timed.
@@ -37,6 +39,11 @@ struct XNodeReport {
   std::uint64_t jobs = 0, overruns = 0, over_wcet = 0, hangs = 0;
   std::int64_t longest_us = 0;
   std::int64_t over_us = 0;  ///< the most by which one outran its WCET
+  std::string module = {};
+  /// Jobs past their WCET that had not ended when the run was over, and for how long the longest had run. They
+  /// are in none of the counts above.
+  std::uint64_t unended = 0;
+  std::int64_t unended_us = 0;
 };
 inline constexpr std::size_t kKeptReleases = 65'536;
 
@@ -44,9 +51,9 @@ inline constexpr std::size_t kKeptReleases = 65'536;
 struct RouteReport {
   std::string name, from, to;
   std::optional<std::int64_t> deadline_us, max_age_us;
-  /// Results later than the deadline, and in an app of one rate releases without one.
+  /// Results later than the deadline, and in an app of one rate, or a run that gave up, releases without one.
   std::uint64_t deadline_misses = 0;
-  std::uint64_t lost = 0;        ///< activations of `to` that failed or were dropped
+  std::uint64_t lost = 0;        ///< activations of `to` that failed, were dropped or did not end
   std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
   /// By tables of keys: releases that took longer than their table claims, or the change that they met.
   std::uint64_t over_claim = 0;
@@ -74,6 +81,12 @@ struct PreemptionReport {
   std::int64_t preempt_us = 0;                 ///< what the platform says of both
 };
 
+/// An XNode whose work was not suspended for others, or not resumed, since the call failed.
+struct FailedPreemptionReport {
+  std::string xnode, xpu;
+  std::uint64_t suspends = 0, resumes = 0;
+};
+
 /// A scenario of a run with tables: releases under it that met no change of the scenario.
 struct ScenarioReport {
   std::string name, table;
@@ -98,15 +111,18 @@ inline constexpr std::size_t kKeptSwitches = 4096;
 
 struct RunReport {
   bool complete = false;          ///< every release was accounted for before the end
-  std::string note;               ///< why not, or what was done differently; for people
+  std::string not_complete;       ///< why not, for people
+  std::string note;               ///< the same, or what was done differently; for people
   std::vector<Release> releases;  ///< of an app of one rate: the last kKeptReleases
-  std::uint64_t num_releases = 0, lost_releases = 0;  ///< of all
-  Distribution latencies_us;                          ///< of all that were not lost
+  /// Of all; lost are those without a result, also where a run gave up.
+  std::uint64_t num_releases = 0, lost_releases = 0;
+  Distribution latencies_us;  ///< of all that were not lost
   std::vector<ModuleReport> modules;
   std::vector<XNodeReport> xnodes;  ///< those with limits
   std::vector<RouteReport> routes;
   ContextReport contexts;
   std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
+  std::vector<FailedPreemptionReport> failed_preemptions;
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   /// Coordinators and emulators that did, a line each; by whom they are looked after, who adds it to the

@@ -36,14 +36,15 @@ void fields(Io io, T& x) {
 template <class Io, Is<ModuleReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "sink", x.sink, "activations", x.activations, "failed", x.failed, "dropped",
-     x.dropped, "off", x.off, "latencies_us", x.latencies_us);
+     x.dropped, "off", x.off, "latencies_us", x.latencies_us, "unended", x.unended);
 }
 
 template <class Io, Is<XNodeReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "budget_us", x.budget_us, "wcet_us", x.wcet_us, "hang_us", x.hang_us, "jobs",
      x.jobs, "overruns", x.overruns, "over_wcet", x.over_wcet, "hangs", x.hangs, "longest_us",
-     x.longest_us, "over_us", x.over_us);
+     x.longest_us, "over_us", x.over_us, "module", x.module, "unended", x.unended, "unended_us",
+     x.unended_us);
 }
 
 template <class Io, Is<RouteReport> T>
@@ -66,6 +67,11 @@ void fields(Io io, T& x) {
      x.resume_us, "preempt_us", x.preempt_us);
 }
 
+template <class Io, Is<FailedPreemptionReport> T>
+void fields(Io io, T& x) {
+  io("xnode", x.xnode, "xpu", x.xpu, "suspends", x.suspends, "resumes", x.resumes);
+}
+
 template <class Io, Is<ScenarioReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "table", x.table, "releases", x.releases, "longest_us", x.longest_us,
@@ -80,9 +86,10 @@ void fields(Io io, T& x) {
 
 template <class Io, Is<RunReport> T>
 void fields(Io io, T& x) {
-  io("complete", x.complete, "note", x.note, "releases", x.releases, "num_releases", x.num_releases,
-     "lost_releases", x.lost_releases, "latencies_us", x.latencies_us, "modules", x.modules,
-     "xnodes", x.xnodes, "routes", x.routes, "contexts", x.contexts, "preemptions", x.preemptions,
+  io("complete", x.complete, "not_complete", x.not_complete, "note", x.note, "releases", x.releases,
+     "num_releases", x.num_releases, "lost_releases", x.lost_releases, "latencies_us",
+     x.latencies_us, "modules", x.modules, "xnodes", x.xnodes, "routes", x.routes, "contexts",
+     x.contexts, "preemptions", x.preemptions, "failed_preemptions", x.failed_preemptions,
      "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
      "overlapping_releases", x.overlapping_releases, "unkept", x.unkept, "broken", x.broken,
      "scenarios", x.scenarios, "switches", x.switches, "num_switches", x.num_switches,

@@ -38,6 +38,7 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
     claims.broken.push_back(fmt::format("{} releases were lost", report.lost_releases));
   if (std::string over = words_of_overruns(report); !over.empty())
     claims.broken.push_back(std::move(over));
+  for (std::string& line : words_of_unended(report)) claims.broken.push_back(std::move(line));
   for (std::string& line : words_of_deaths(report)) claims.broken.push_back(std::move(line));
   const auto judge = [&](const std::string& what, std::int64_t us, std::int64_t worst_us) {
     if (us > worst_us + (emulates ? worst_us * kEmulatorPct / 100 : 0))
@@ -63,6 +64,49 @@ std::vector<std::string> words_of_deaths(const RunReport& report) {
   std::vector<std::string> lines = report.dead_daemons;
   if (!report.lost_coordinators.empty() || !report.died.empty())
     lines.emplace_back("processes of the run died");
+  return lines;
+}
+
+std::vector<std::string> words_of_unended(const RunReport& report) {
+  std::vector<std::string> lines;
+  if (!report.complete)
+    lines.push_back("the run is not complete" +
+                    (report.not_complete.empty() ? "" : ": " + report.not_complete));
+  for (const XNodeReport& x : report.xnodes) {
+    if (x.unended > 0)
+      lines.push_back(words_of_unended(x.name, x.module, x.unended, x.unended_us, x.wcet_us));
+    // By tables its XPU counts as lost, and they say what is claimed then.
+    if (x.hangs > 0 && report.scenarios.empty())
+      lines.push_back(words_of_hangs(x.name, x.module, x.hangs));
+  }
+  return lines;
+}
+
+std::string words_of_unended(const std::string& xnode, const std::string& module,
+                             std::uint64_t jobs, std::int64_t us, std::int64_t wcet_us) {
+  return fmt::format(
+      "{}XNode '{}' of XModule '{}' {} run for {:.2f} ms and {} not ended; its WCET is {:.2f} ms",
+      jobs > 1 ? fmt::format("{} jobs of ", jobs) : "", xnode, module, jobs > 1 ? "have" : "has",
+      in_ms(us), jobs > 1 ? "have" : "has", in_ms(wcet_us));
+}
+
+std::string words_of_hangs(const std::string& xnode, const std::string& module,
+                           std::uint64_t jobs) {
+  return fmt::format("{} job{} of XNode '{}' of XModule '{}' ran past {} hang limit", jobs,
+                     jobs > 1 ? "s" : "", xnode, module, jobs > 1 ? "their" : "its");
+}
+
+std::vector<std::string> words_of(const FailedPreemptionReport& failed) {
+  std::vector<std::string> lines;
+  const auto times = [](std::uint64_t n) { return fmt::format("{} time{}", n, n == 1 ? "" : "s"); };
+  if (failed.suspends > 0)
+    lines.push_back(
+        fmt::format("preemption failed {} on {}: the work of XNode '{}' was not suspended",
+                    times(failed.suspends), failed.xpu, failed.xnode));
+  if (failed.resumes > 0)
+    lines.push_back(
+        fmt::format("preemption failed {} on {}: the work of XNode '{}' was not resumed",
+                    times(failed.resumes), failed.xpu, failed.xnode));
   return lines;
 }
 

@@ -27,6 +27,19 @@ struct TableClaims {
 /// What died of the run's processes, a line each.
 [[nodiscard]] std::vector<std::string> words_of_deaths(const RunReport& report);
 
+/// What did not end: jobs past their WCET or their hang limit, and the run itself; a line each.
+[[nodiscard]] std::vector<std::string> words_of_unended(const RunReport& report);
+/// "XNode 'x' of XModule 'm' has run for 31.20 ms and has not ended; its WCET is 20.00 ms".
+[[nodiscard]] std::string words_of_unended(const std::string& xnode, const std::string& module,
+                                           std::uint64_t jobs, std::int64_t us,
+                                           std::int64_t wcet_us);
+/// "1 job of XNode 'x' of XModule 'm' ran past its hang limit".
+[[nodiscard]] std::string words_of_hangs(const std::string& xnode, const std::string& module,
+                                         std::uint64_t jobs);
+
+/// "preemption failed 3 times on gpu0: the work of XNode 'x' was not suspended"; and of resuming; a line each.
+[[nodiscard]] std::vector<std::string> words_of(const FailedPreemptionReport& failed);
+
 /// Jobs longer than their WCET, of tables longer than their scenario's; empty: there was none.
 [[nodiscard]] std::string words_of_overruns(const RunReport& report);
 

@@ -42,7 +42,7 @@ std::uint64_t lost_results(const runtime::RunReport& report) {
   if (report.num_releases > 0) return report.lost_releases;
   std::uint64_t count = 0;  // several rates: of each module whose results the app is there for
   for (const runtime::ModuleReport& module : report.modules)
-    if (module.sink) count += module.failed + module.dropped;
+    if (module.sink) count += module.failed + module.dropped + module.unended;
   return count;
 }
 

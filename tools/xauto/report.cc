@@ -142,6 +142,8 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
                          r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
     }
   }
+  for (const runtime::FailedPreemptionReport& f : run.report.failed_preemptions)
+    for (const std::string& text : runtime::words_of(f)) out += fmt::format("  {}{}\n", who, text);
   for (const runtime::XNodeReport& x : run.report.xnodes)
     if (x.overruns > 0 || x.hangs > 0)
       out += fmt::format(
@@ -153,9 +155,10 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
 std::string losses_of(const PolicyRun& run) {
   std::string out;
   for (const runtime::ModuleReport& m : run.report.modules)
-    if (m.failed + m.dropped > 0)
-      out += fmt::format("  {}: XModule {}: {} activations done, {} dropped, {} failed\n", run.name,
-                         m.name, m.activations, m.dropped, m.failed);
+    if (m.failed + m.dropped + m.unended > 0)
+      out += fmt::format("  {}: XModule {}: {} activations done, {} dropped, {} failed{}\n",
+                         run.name, m.name, m.activations, m.dropped, m.failed,
+                         m.unended > 0 ? fmt::format(", {} did not end", m.unended) : "");
   return out;
 }
 
@@ -235,10 +238,11 @@ std::vector<Error> complaints(const PolicyRun& run) {
     std::string modules;
     std::uint64_t failed = 0;
     for (const runtime::ModuleReport& m : run.report.modules) {
-      if (m.failed + m.dropped == 0) continue;
-      modules += fmt::format("{}{}: {} failed, {} dropped", modules.empty() ? "" : "; ", m.name,
-                             m.failed, m.dropped);
-      failed += m.failed;
+      if (m.failed + m.dropped + m.unended == 0) continue;
+      modules += fmt::format("{}{}: {} failed, {} dropped{}", modules.empty() ? "" : "; ", m.name,
+                             m.failed, m.dropped,
+                             m.unended > 0 ? fmt::format(", {} did not end", m.unended) : "");
+      failed += m.failed + m.unended;
     }
     add(fmt::format("{} of {} activations were lost (of XModule {})", lost, run.report.num_releases,
                     modules),
@@ -392,6 +396,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                     {"failed", m.failed},
                     {"dropped", m.dropped}};
       if (m.off > 0) entry["off"] = m.off;
+      if (m.unended > 0) entry["unended"] = m.unended;
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
         entry["p50_us"] = or_null(latency.p50_us, latency.count);
@@ -451,6 +456,10 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       }
       if (x.wcet_us > 0) entry["wcet_us"] = x.wcet_us;
       if (x.wcet_us > 0 || run.tables) entry["over_wcet"] = x.over_wcet;
+      if (x.unended > 0) {
+        entry["unended"] = x.unended;
+        entry["unended_us"] = x.unended_us;
+      }
       if (x.hang_us > 0) {
         entry["hang_us"] = x.hang_us;
         entry["hangs"] = x.hangs;
@@ -464,6 +473,11 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                                   {"suspend_us", of.suspend_us},
                                   {"resume_us", of.resume_us},
                                   {"preempt_us", of.preempt_us}});
+    for (const runtime::FailedPreemptionReport& of : run.report.failed_preemptions)
+      j["failed_preemptions"].push_back({{"xnode", of.xnode},
+                                         {"xpu", of.xpu},
+                                         {"suspends", of.suspends},
+                                         {"resumes", of.resumes}});
     if (const runtime::ContextReport& of = run.report.contexts; of.any())
       j["contexts"] = {{"partial", of.partial},    {"unclaimed", of.unclaimed},
                        {"assumed", of.assumed},    {"shared", of.shared},

@@ -65,6 +65,8 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
                                        run.report.overlapping_releases, run.report.num_releases));
   if (std::string over = overruns(flags, run); !over.empty())
     worst.broken.push_back(std::move(over));
+  for (std::string& line : runtime::words_of_unended(run.report))
+    worst.broken.push_back(std::move(line));
   for (std::string& line : runtime::words_of_deaths(run.report))
     worst.broken.push_back(std::move(line));
   return worst;
@@ -105,6 +107,8 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
   if (std::string over = runtime::words_of_overruns(run.report); !over.empty())
     claims.broken.push_back(std::move(over));
+  for (std::string& line : runtime::words_of_unended(run.report))
+    claims.broken.push_back(std::move(line));
   for (std::string& line : runtime::words_of_deaths(run.report))
     claims.broken.push_back(std::move(line));
   std::size_t unmeasured = 0;

@@ -644,6 +644,8 @@ TEST(Run, AnExecThatNeverReturnsEndsTheRunAndStaysBehind) {
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_FALSE(report->complete());
   EXPECT_EQ(f->results.load(), 2);
+  EXPECT_EQ(report->releases(), 3u) << "the one that never ended, too";
+  EXPECT_EQ(report->lost(), 1u) << report->json();
   EXPECT_NE(report->note().find("M@gpu0"), std::string::npos) << report->note();
   const auto next = f->app.run(f->options());
   ASSERT_FALSE(next);

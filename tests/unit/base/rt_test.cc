@@ -3,6 +3,8 @@
 
 #include <chrono>
 #include <functional>
+#include <future>
+#include <optional>
 #include <thread>
 
 #include <gtest/gtest.h>
@@ -75,6 +77,27 @@ TEST(Rt, ASleeperHasItsCore) {
   std::this_thread::sleep_for(std::chrono::milliseconds(20));
   const std::int64_t all = now_ns() - since;
   EXPECT_GE(all - (*without_core_ns() - *waited), 20'000'000);
+}
+
+TEST(Rt, OthersTellOfASleeperAndNotOfWhoRuns) {
+  if (!without_core_ns()) GTEST_SKIP() << "this kernel does not count it";
+  EXPECT_FALSE(without_core_ns(gettid())) << "who asks runs";
+  EXPECT_FALSE(without_core_ns(1)) << "a thread of another process";
+  std::promise<pid_t> tid;
+  std::promise<void> leave;
+  std::int64_t own_ns = -1;
+  std::thread sleeper([&] {
+    set_thread_name("a) R 1 (b");
+    own_ns = *without_core_ns();
+    tid.set_value(gettid());
+    leave.get_future().wait();
+  });
+  const pid_t asleep = tid.get_future().get();
+  std::optional<std::int64_t> told;
+  while (!told) told = without_core_ns(asleep);  // it is about to sleep
+  leave.set_value();
+  sleeper.join();
+  EXPECT_GE(*told, own_ns);
 }
 
 TEST(Rt, WithoutRootTheLimitDecides) {

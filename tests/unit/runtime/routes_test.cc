@@ -133,6 +133,46 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   EXPECT_EQ(r.urgent_us.exact(), std::vector<std::int64_t>{90}) << "the release that was urgent";
 }
 
+/// A run that gave up at 2000 us, where the lidar was released last at 1900, and the camera so long.
+TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
+  Graph graph = make_graph(false);
+  graph.sources = {{"lidar", {100}}, {"camera", {100}}};
+  graph.modules[0].component = graph.modules[1].component = 0;
+  graph.modules[2].component = 1;
+  Grid grid;
+  grid.periodic = true;
+  grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
+  grid.urgent_source = {-1, -1, -1};
+  AppSpec app;
+  app.version = 2;
+  app.sources = graph.sources;
+  app.xnodes = {{"Fuse", "Fuse", {}}, {"Plan", "Plan", {}}, {"Log", "Log", {}}};
+  app.chains = {{"to Fuse", 0, 0, 250}, {"to Plan", 0, 1, 250}, {"sampled", 0, 2, 250}};
+  auto routes = Routes::make(graph, grid, {}, app);
+  ASSERT_TRUE(routes);
+  detail::Origins origins{};
+  origins[0] = 1'600'000;
+  routes->published(0, 1, &origins, 1'650'000);
+  routes->published(2, 1, &origins, 1'650'000);
+  const Routes::Unended left{2'000'000, {3, 10, 2}, {1'000'000, 1'000'000}, {1'900'000, 1'900'000}};
+  const auto reports = routes->report({0, 0, 1}, &left);
+  EXPECT_EQ(reports.at(0).lost, 3u);
+  EXPECT_EQ(reports.at(0).deadline_misses, 1u) << "1700; 1800 and 1900 still had time";
+  EXPECT_EQ(reports.at(1).lost, 10u);
+  EXPECT_EQ(reports.at(1).deadline_misses, 8u) << "1000 to 1700: there was no result at all";
+  EXPECT_EQ(reports.at(2).lost, 3u);
+  EXPECT_EQ(reports.at(2).deadline_misses, 0u) << "at 1900, when its reader was released last";
+}
+
+TEST(Routes, InAnAppOfOneRateWhatDidNotEndIsMissed) {
+  auto routes = Routes::make(make_graph(true), {}, {}, with_deadline(50));
+  ASSERT_TRUE(routes);
+  Routes::Unended left{2'000'000, {0, 4, 0}, {1'000'000, 1'000'000}, {1'900'000, 1'900'000}};
+  EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 5u);
+  left.at_ns = 1'940'000;  // nobody knows how many of them still had time
+  EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 1u);
+}
+
 /// docs/steady-state.md, "Chains": release k comes through a sample with the first activation n of the
 /// reader that begins after its result is there, which may be less than k. At the beginning it is not there.
 TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {

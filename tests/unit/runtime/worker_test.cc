@@ -323,6 +323,40 @@ TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
   EXPECT_FALSE(worker.in_exec());
 }
 
+TEST_F(WorkerTest, AJobPastItsWcetIsToldBeforeItEndsAndCountedOnce) {
+  std::promise<void> inside, leave;
+  impls_[0]->exec = [&](void*, void*, const Input& input) -> Status {
+    if (input.sequence() > 0) return {};
+    inside.set_value();
+    leave.get_future().wait();
+    return {};
+  };
+  XNodeLine line;
+  row_.nodes[0].limit({0, 0, 100'000'000}, false, line);
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  std::thread driver([&] { EXPECT_TRUE(run(0)); });
+  inside.get_future().wait();
+  const std::int64_t now = now_ns();
+  for (const std::int64_t later_s : {1, 2, 9}) worker.tell_past_wcet(now + later_s * 1'000'000'000);
+  EXPECT_EQ(line.unended, 1u);
+  EXPECT_GE(line.unended_ns, 8'900'000'000);
+  EXPECT_EQ(line.unended_wcet_ns, 100'000'000);
+  EXPECT_EQ(line.over_wcet, 0u) << "those that ended";
+  EXPECT_EQ(line.jobs, 0u);
+  leave.set_value();
+  driver.join();
+  EXPECT_EQ(line.unended, 0u);
+  EXPECT_EQ(line.unended_ns, 0);
+  EXPECT_EQ(line.over_wcet, 1u) << "what was told stays told";
+  EXPECT_TRUE(run(1));
+  worker.tell_past_wcet(now_ns() + 9'000'000'000);
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(line.jobs, 2u);
+  EXPECT_EQ(line.over_wcet, 1u) << "unless the machine stood still for 100 ms";
+  EXPECT_EQ(line.unended, 0u) << "none runs";
+}
+
 /// Modules M and S on one XPU that takes a job at a time, a worker each; S hears M and has no output.
 class TwoOfACrew : public ::testing::Test, public ModuleHost {
  protected:

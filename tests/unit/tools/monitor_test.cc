@@ -451,6 +451,59 @@ TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
             std::vector<std::string>{"2 of 9 jobs outran the WCET of their scenario"});
 }
 
+TEST(Counts, WhatHasNotEndedBreaksTheClaim) {
+  const auto board = runtime::Board::local({.nodes = 1});
+  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  runtime::XNodeLine& line = board->xnode(0);
+  runtime::name_line(line.name, "m.x");
+  runtime::name_line(line.module, "m");
+  line.unended = 1;
+  line.unended_ns = 9'123'456'789;
+  line.unended_wcet_ns = 18'602'000;
+  line.hangs = 2;
+  const ClaimCounts claims = counts_of(*board).claims;
+  EXPECT_FALSE(claims.stands());
+  EXPECT_EQ(claims.broken, (std::vector<std::string>{
+                               "XNode 'm.x' of XModule 'm' has run for 9123.46 ms and has not "
+                               "ended; its WCET is 18.60 ms",
+                               "2 jobs of XNode 'm.x' of XModule 'm' ran past their hang limit"}));
+  std::vector<std::string> kinds;
+  for (const Violation& v : claims.violations)
+    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
+  EXPECT_EQ(kinds, (std::vector<std::string>{"wcet_overrun 1", "hang 2"}));
+}
+
+TEST(Counts, WhatIsNotSuspendedOrNotResumedBreaksTheClaim) {
+  const auto board = runtime::Board::local({.nodes = 1, .xpus = 2});
+  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  runtime::name_line(board->xpu(1).name, "gpu0");
+  runtime::XNodeLine& line = board->xnode(0);
+  runtime::name_line(line.name, "m.x");
+  EXPECT_TRUE(counts_of(*board).claims.stands());
+  line.failed_on = 1;
+  line.failed_suspends = 25;
+  line.failed_resumes = 1;
+  const ClaimCounts claims = counts_of(*board).claims;
+  EXPECT_EQ(claims.broken,
+            (std::vector<std::string>{
+                "preemption failed 25 times on gpu0: the work of XNode 'm.x' was not suspended",
+                "preemption failed 1 time on gpu0: the work of XNode 'm.x' was not resumed"}));
+  std::vector<std::string> kinds;
+  for (const Violation& v : claims.violations)
+    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
+  EXPECT_EQ(kinds, (std::vector<std::string>{"failed_suspension 25", "failed_resumption 1"}));
+  line.failed_on = 7;  // whatever another program wrote there
+  EXPECT_EQ(counts_of(*board).claims.broken.size(), 2u);
+}
+
+/// There its XPU counts as lost, and they say what is claimed then.
+TEST(Counts, AHangByTablesBreaksNothingByItself) {
+  const auto board = runtime::Board::local({.nodes = 1, .scenarios = 1});
+  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  board->xnode(0).hangs = 1;
+  EXPECT_TRUE(counts_of(*board).claims.stands());
+}
+
 TEST(Counts, ADaemonThatDiedIsADeathAlsoIfItWasStartedAgain) {
   const auto board = runtime::Board::local({.modules = 1});
   board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
