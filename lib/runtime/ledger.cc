@@ -41,6 +41,7 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   const Session& session = context.session;
   const bool paced = session.input.empty() && !session.lockstep;
   routes_.show_on(context.board, paced ? &context.grid : nullptr);
+  if (session.lockstep) routes_.in_lockstep();
   if (context.graph.single_rate) {
     FlowLine& whole = context.board.flow(0);
     whole.deadline_us = session.app.deadline_us.value_or(0);

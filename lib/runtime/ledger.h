@@ -27,6 +27,8 @@ class Ledger {
 
   /// A release of the sensors is about to be published. The releasing thread.
   void open(std::uint64_t sequence, std::int64_t origin_ns);
+  /// ... and so does `source`. The releasing thread.
+  void released(std::size_t source, std::int64_t origin_ns) { routes_.released(source, origin_ns); }
   /// Activation `sequence` of `module`, hosted here, has ended. `origins`, `urgent`: see Envelope.
   void done(int module, std::int64_t origin_ns, std::uint64_t sequence,
             const detail::Origins* origins, bool urgent);

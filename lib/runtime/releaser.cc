@@ -489,6 +489,12 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   std::int64_t oldest_ns = INT64_MAX;
   for (const Sample& sample : samples) oldest_ns = std::min(oldest_ns, origin_of(sample));
   ledger_.open(sequence, oldest_ns);
+  // What was left out has no message: nothing of it can come out.
+  for (const Sample& sample : samples)
+    if (sample.message != nullptr)
+      ledger_.released(static_cast<std::size_t>(
+                           context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
+                       origin_of(sample));
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
     const bool whole = context_.graph.single_rate && !context_.grid.periodic;
