@@ -24,7 +24,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f4b;  // "XBOK"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f4c;  // "XBOL"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
@@ -194,7 +194,8 @@ std::string XpuLine::slow_suspensions() const {
          " us; the platform file says preempt_us " + std::to_string(preempt_us);
 }
 
-void Board::count_late(std::int64_t ns) {
+void Board::count_late(std::int64_t ns, bool early) {
+  if (early) header_->early.fetch_add(1, std::memory_order_relaxed);
   header_->late.fetch_add(1, std::memory_order_relaxed);
   if (ns > header_->latest_ns.load(std::memory_order_relaxed))
     header_->latest_ns.store(ns, std::memory_order_relaxed);

@@ -231,7 +231,10 @@ Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& 
   for (; next < found->number; ++next) leave_out(topic, next, pushed.at_ns);
   Seen& seen = seen_[source];
   seen.off += found->off_ns > 0 ? 1 : 0;
-  if (found->off_ns > 0) context_.board.count_late(found->off_ns);
+  seen.early += found->early ? 1 : 0;
+  if (seen.came++ == 0) seen.first_ns = pushed.at_ns;
+  seen.last_ns = pushed.at_ns;
+  if (found->off_ns > 0) context_.board.count_late(found->off_ns, found->early);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
   XAUTO_ASSIGN(const bool fed, marked(seen, source, pushed.message.get(), found->number));
   const bool is_urgent = (pushed.urgent || fed) && urgent(seen, source, found->number);
@@ -424,6 +427,19 @@ void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   seen.latest_ns = std::max(seen.latest_ns, after_ns);
 }
 
+/// Of what is off its grid: whether it comes too often, or too seldom.
+std::string Releaser::another_rate(const Seen& seen, const Grid::Source& grid) {
+  std::string text;
+  if (seen.early > 0)
+    text = fmt::format("; {} of them came sooner than its period and jitter allow", seen.early);
+  const auto stated =
+      static_cast<std::uint64_t>((seen.last_ns - seen.first_ns) / grid.period_ns()) + 1;
+  // One more or less is where the run begins and ends.
+  if (std::max(seen.came, stated) - std::min(seen.came, stated) > 1)
+    text += fmt::format("; {} came in the time of {}", seen.came, stated);
+  return text;
+}
+
 std::vector<std::string> Releaser::broken() const {
   std::vector<std::string> lines = tables_ ? tables_->broken() : std::vector<std::string>();
   for (std::size_t s = 0; s < seen_.size(); ++s) {
@@ -437,9 +453,9 @@ std::vector<std::string> Releaser::broken() const {
           name, (seen.latest_ns + 999) / 1000, seen.late, seen.of, grid.jitter_ns / 1000));
     if (seen.off > 0)
       lines.push_back(fmt::format(
-          "source '{}' was up to {} us off its grid in {} of {} releases; app.json states a period "
-          "of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
-          name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of,
+          "source '{}' was up to {} us off its grid in {} of {} releases{}; app.json states a "
+          "period of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
+          name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of, another_rate(seen, grid),
           static_cast<double>(grid.period.num) / static_cast<double>(grid.period.den),
           grid.jitter_ns / 1000, context_.grid.clock_ppm[grid.clock]));
     if (seen.left_out > 0)
