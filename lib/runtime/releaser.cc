@@ -39,6 +39,11 @@ Status Releaser::run(int fifo) {
     inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
     open_feeds(fifo);
     open_for_urgent();
+    if (context_.session.lockstep && context_.session.input.empty() && inlets_->any() &&
+        !context_.graph.single_rate)
+      log::info(
+          "in lockstep the releases of this app are at least 100 ms apart; what is published "
+          "meanwhile waits its turn");
     status = detail::call(context_.app.on_start, "on_start", context_.app.name);
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
     feeds_.reset();
@@ -333,6 +338,11 @@ Status Releaser::release_periodic() {
       break;
     }
     if (context_.session.lockstep) {
+      // Before it is said when the others are released, and so that both can be timed.
+      if (inlets_->any()) {
+        XAUTO_ASSIGN(const bool goes_on, release_pushed(now_ns(), true));
+        if (!goes_on) break;
+      }
       XAUTO_TRY(drain_for_lockstep());
       // Now, whatever the period: the time grid moves along.
       const std::int64_t now = now_ns();
@@ -365,7 +375,7 @@ Status Releaser::release_periodic() {
       samples.push_back(
           {s.topic, s.sequence++, std::move(message), context_.grid.periodic ? due : 0, is_urgent});
     }
-    if (inlets_->any()) {
+    if (inlets_->any() && !context_.session.lockstep) {
       XAUTO_ASSIGN(const bool goes_on, release_pushed(due));
       if (!goes_on) break;
     } else {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sources that are pushed into: every publish is a release, and nothing is kept for another run.
+#include <algorithm>
 #include <cctype>
 #include <chrono>
 #include <optional>
@@ -156,6 +157,38 @@ TEST(Pushed, InLockstepMessagesWaitTheirTurnAndNothingIsLost) {
   EXPECT_TRUE(report->complete) << report->note;
   EXPECT_EQ(report->num_releases, 100u);
   EXPECT_EQ(report->lost_releases, 0u);
+}
+
+/// Of several rates: polled releases are not late by what is pushed before them, and both drain.
+TEST(Pushed, InLockstepPolledReleasesComeWhenTheyAreSaidTo) {
+  PushedByKeys app;
+  app.session.lockstep = true;
+  app.session.duration_us = 0;
+  app.session.activations = 4;
+  std::atomic<int> inside{0}, most{0};
+  app.exec = [&](const std::string&, std::uint64_t) -> Status {
+    most = std::max(most.load(), ++inside);
+    std::this_thread::sleep_for(2ms);
+    --inside;
+    return {};
+  };
+  app.driver = [&] {
+    for (int k = 0; k < 6; ++k) EXPECT_TRUE(app.camera->publish(k));
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->modules[1].activations, 4u);
+  EXPECT_GE(report->modules[0].activations, 1u);
+  EXPECT_EQ(most.load(), 1) << "each release waits for the one before";
+  for (const std::size_t chain : {0u, 1u}) {
+    const RouteReport& route = report->routes[chain];
+    EXPECT_EQ(route.latency_us.count(), report->modules[chain].activations);
+    EXPECT_EQ(route.not_measured, 0u);
+  }
+  // The run waits 100 ms between two of them; that is nobody's latency. Of the fastest one, since a machine may stall.
+  const std::vector<std::int64_t> us = report->routes[1].latency_us.exact();
+  ASSERT_FALSE(us.empty());
+  EXPECT_LT(*std::min_element(us.begin(), us.end()), 90'000);
 }
 
 TEST(Pushed, WhatComesTooEarlyIsReleasedAndCounted) {
