@@ -194,7 +194,8 @@ std::string XpuLine::slow_suspensions() const {
          " us; the platform file says preempt_us " + std::to_string(preempt_us);
 }
 
-void Board::count_late(std::int64_t ns) {
+void Board::count_late(std::int64_t ns, bool early) {
+  if (early) header_->early.fetch_add(1, std::memory_order_relaxed);
   header_->late.fetch_add(1, std::memory_order_relaxed);
   if (ns > header_->latest_ns.load(std::memory_order_relaxed))
     header_->latest_ns.store(ns, std::memory_order_relaxed);

@@ -34,6 +34,7 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
+  std::atomic<std::uint64_t> early{};     ///< [H] ... that came too soon
   /// [H] of an app of one rate: releases that came while an earlier one was still in flight.
   std::atomic<std::uint64_t> overlapping{};
   /// [H] with tables: how often jobs, or the machine's clocks, were those of no scenario.
@@ -246,7 +247,7 @@ class Board {
   [[nodiscard]] std::uint64_t released() const { return header_->released.load(); }
   void count_release() { header_->released.fetch_add(1, std::memory_order_relaxed); }
   /// By one thread, which releases.
-  void count_late(std::int64_t ns);
+  void count_late(std::int64_t ns, bool early = false);
   [[nodiscard]] std::uint64_t late() const { return header_->late.load(); }
   [[nodiscard]] std::int64_t latest_ns() const { return header_->latest_ns.load(); }
   void tell_unkept(const std::string& text);

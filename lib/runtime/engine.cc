@@ -175,6 +175,7 @@ Result<RunReport> Engine::run_all() {
     result.not_complete = "it was told to stop before its end";
   add_note(result.note, result.not_complete);
   for (const std::string& note : releaser_->notes()) add_note(result.note, note);
+  note_lockstep(result);
   XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));
   return result;
 }
@@ -185,6 +186,17 @@ std::vector<std::size_t> Engine::waiting() const {
   for (std::size_t m = 0; m < graph_.modules.size(); ++m)
     waiting.push_back(wiring_->module(m) == nullptr ? 0 : wiring_->module(m)->waiting());
   return waiting;
+}
+
+/// What has no time in a report, and why.
+void Engine::note_lockstep(RunReport& into) const {
+  if (!session_.lockstep || (graph_.single_rate && !grid_.periodic) || into.routes.empty()) return;
+  std::uint64_t untimed = 0;
+  for (const RouteReport& route : into.routes) untimed += route.not_measured;
+  add_note(into.note, "time between releases means nothing in lockstep: no age is measured" +
+                          (untimed == 0 ? std::string()
+                                        : ", nor the latency of " + std::to_string(untimed) +
+                                              " results that waited for another release"));
 }
 
 /// A member's: the counts are on the board, so only notes are left to tell.

@@ -67,6 +67,7 @@ class Engine final : private ModuleHost {
   [[nodiscard]] Result<RunReport> run_part();
   void note_chain_ends();
   [[nodiscard]] std::vector<std::size_t> waiting() const;
+  void note_lockstep(RunReport& into) const;
   void stop_workers();
   void tell_notes(RunReport& into);
   void tell_preemptions(RunReport& into) const;

@@ -44,6 +44,7 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   const Session& session = context.session;
   const bool paced = session.input.empty() && !session.lockstep;
   routes_.show_on(context.board, paced ? &context.grid : nullptr);
+  if (session.lockstep) routes_.in_lockstep();
   if (context.graph.single_rate) {
     FlowLine& whole = context.board.flow(0);
     whole.deadline_us = session.app.deadline_us.value_or(0);
@@ -155,9 +156,9 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
 
 void Ledger::released(std::size_t source, std::uint64_t sequence, std::int64_t origin_ns) {
   Released& of = released_[source];
-  if (of.first_ns == 0) of.first_ns = origin_ns;
   of.next = std::max(of.next, sequence + 1);
   of.newest_ns = std::max(of.newest_ns, origin_ns);
+  routes_.released(source, origin_ns);
 }
 
 void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
@@ -427,11 +428,8 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
     into.modules.push_back(std::move(module));
     lost.push_back(counts.failed + counts.dropped);
   }
-  Routes::Unended unended{gave_up_ns_, unended_, {}, {}};
-  for (const Released& source : released_) {
-    unended.first_ns.push_back(source.first_ns);
-    unended.newest_ns.push_back(source.newest_ns);
-  }
+  Routes::Unended unended{gave_up_ns_, unended_, {}};
+  for (const Released& source : released_) unended.newest_ns.push_back(source.newest_ns);
   into.routes = routes_.report(lost, gave_up_ns_ > 0 ? &unended : nullptr);
   for (std::size_t n = 0; n < context_.graph.nodes.size(); ++n) {
     // Of the first table that has it.

@@ -87,7 +87,7 @@ class Ledger {
   /// Of a source: what was released so far. Of the releasing thread, then of `run`'s.
   struct Released {
     std::uint64_t next = 0;  ///< number of the next one
-    std::int64_t first_ns = 0, newest_ns = 0;
+    std::int64_t newest_ns = 0;
   };
 
   void show_claims();

@@ -9,7 +9,9 @@
 //
 // Sources of one clock keep their phases: they share a grid, base + offset + k * period. The first
 // message is taken to be half its jitter late; from then on the grid follows the messages as fast as
-// the clock's tolerance allows, with the aim of half the jitter.
+// the clock's tolerance allows, with the aim of half the jitter. No message moves it further: a source
+// that does what app.json does not state goes off with a grid of its own (Stream::shift_ns), and takes
+// no other along.
 #pragma once
 
 #include <cstdint>
@@ -28,16 +30,19 @@ class ClockPhase {
   struct Seen {
     std::uint64_t number;     ///< of its source's releases; those since the last one did not come
     std::int64_t nominal_ns;  ///< not after the arrival
-    /// By how much the grid was moved beyond the tolerance so that this arrival fits; or, where one
-    /// message alone was too late for it, by how much. 0: as stated.
+    /// By how much the source's grid was moved beyond the tolerance so that this arrival fits; or, where
+    /// one message alone was too late for it, by how much. 0: as stated.
     std::int64_t off_ns;
+    bool early = false;  ///< it was so by being sooner than period and jitter allow
   };
   /// What has come of one source.
   struct Stream {
     std::uint64_t next = 0;  ///< the number after its last one's
     /// Left out, and may come yet: a driver that was held up brings several at a time.
     std::uint64_t owed = 0;
-    std::int64_t last_ns = 0;  ///< the last arrival
+    std::int64_t last_ns = 0;   ///< the last arrival
+    std::int64_t shift_ns = 0;  ///< of its grid against the clock's: 0 as long as it is as stated
+    int late = 0;               ///< arrivals in a row that were too late
   };
   /// A message of `source` has come at `at_ns` of CLOCK_MONOTONIC. Nullopt: it is older than the
   /// clock's first release, or one that was taken to be left out.
@@ -59,7 +64,6 @@ class ClockPhase {
   const std::int64_t ppm_;
   std::optional<std::int64_t> base_ns_;
   std::int64_t seen_ns_ = 0;  ///< the last arrival
-  int late_ = 0;              ///< arrivals in a row that were too late
 };
 
 }  // namespace xauto::runtime

@@ -39,6 +39,11 @@ Status Releaser::run(int fifo) {
     inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
     open_feeds(fifo);
     open_for_urgent();
+    if (context_.session.lockstep && context_.session.input.empty() && inlets_->any() &&
+        !context_.graph.single_rate)
+      log::info(
+          "in lockstep the releases of this app are at least 100 ms apart; what is published "
+          "meanwhile waits its turn");
     status = detail::call(context_.app.on_start, "on_start", context_.app.name);
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
     feeds_.reset();
@@ -231,7 +236,10 @@ Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& 
   for (; next < found->number; ++next) leave_out(topic, next, pushed.at_ns);
   Seen& seen = seen_[source];
   seen.off += found->off_ns > 0 ? 1 : 0;
-  if (found->off_ns > 0) context_.board.count_late(found->off_ns);
+  seen.early += found->early ? 1 : 0;
+  if (seen.came++ == 0) seen.first_ns = pushed.at_ns;
+  seen.last_ns = pushed.at_ns;
+  if (found->off_ns > 0) context_.board.count_late(found->off_ns, found->early);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
   XAUTO_ASSIGN(const bool fed, marked(seen, source, pushed.message.get(), found->number));
   const bool is_urgent = (pushed.urgent || fed) && urgent(seen, source, found->number);
@@ -330,6 +338,11 @@ Status Releaser::release_periodic() {
       break;
     }
     if (context_.session.lockstep) {
+      // Before it is said when the others are released, and so that both can be timed.
+      if (inlets_->any()) {
+        XAUTO_ASSIGN(const bool goes_on, release_pushed(now_ns(), true));
+        if (!goes_on) break;
+      }
       XAUTO_TRY(drain_for_lockstep());
       // Now, whatever the period: the time grid moves along.
       const std::int64_t now = now_ns();
@@ -362,7 +375,7 @@ Status Releaser::release_periodic() {
       samples.push_back(
           {s.topic, s.sequence++, std::move(message), context_.grid.periodic ? due : 0, is_urgent});
     }
-    if (inlets_->any()) {
+    if (inlets_->any() && !context_.session.lockstep) {
       XAUTO_ASSIGN(const bool goes_on, release_pushed(due));
       if (!goes_on) break;
     } else {
@@ -424,6 +437,19 @@ void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   seen.latest_ns = std::max(seen.latest_ns, after_ns);
 }
 
+/// Of what is off its grid: whether it comes too often, or too seldom.
+std::string Releaser::another_rate(const Seen& seen, const Grid::Source& grid) {
+  std::string text;
+  if (seen.early > 0)
+    text = fmt::format("; {} of them came sooner than its period and jitter allow", seen.early);
+  const auto stated =
+      static_cast<std::uint64_t>((seen.last_ns - seen.first_ns) / grid.period_ns()) + 1;
+  // One more or less is where the run begins and ends.
+  if (std::max(seen.came, stated) - std::min(seen.came, stated) > 1)
+    text += fmt::format("; {} came in the time of {}", seen.came, stated);
+  return text;
+}
+
 std::vector<std::string> Releaser::broken() const {
   std::vector<std::string> lines = tables_ ? tables_->broken() : std::vector<std::string>();
   for (std::size_t s = 0; s < seen_.size(); ++s) {
@@ -437,9 +463,9 @@ std::vector<std::string> Releaser::broken() const {
           name, (seen.latest_ns + 999) / 1000, seen.late, seen.of, grid.jitter_ns / 1000));
     if (seen.off > 0)
       lines.push_back(fmt::format(
-          "source '{}' was up to {} us off its grid in {} of {} releases; app.json states a period "
-          "of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
-          name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of,
+          "source '{}' was up to {} us off its grid in {} of {} releases{}; app.json states a "
+          "period of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
+          name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of, another_rate(seen, grid),
           static_cast<double>(grid.period.num) / static_cast<double>(grid.period.den),
           grid.jitter_ns / 1000, context_.grid.clock_ppm[grid.clock]));
     if (seen.left_out > 0)
@@ -489,10 +515,12 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   std::int64_t oldest_ns = INT64_MAX;
   for (const Sample& sample : samples) oldest_ns = std::min(oldest_ns, origin_of(sample));
   ledger_.open(sequence, oldest_ns);
+  // What was left out has no message: nothing of it can come out.
   for (const Sample& sample : samples)
-    ledger_.released(static_cast<std::size_t>(
-                         context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
-                     sample.sequence, origin_of(sample));
+    if (sample.message != nullptr)
+      ledger_.released(static_cast<std::size_t>(
+                           context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
+                       sample.sequence, origin_of(sample));
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
     const bool whole = context_.graph.single_rate && !context_.grid.periodic;

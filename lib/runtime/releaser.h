@@ -74,6 +74,7 @@ class Releaser {
   [[nodiscard]] bool lose_overdue(std::int64_t now_ns);
   [[nodiscard]] std::int64_t next_overdue_ns() const;
   void leave_out(int topic, std::uint64_t number, std::int64_t at_ns);
+  [[nodiscard]] static std::string another_rate(const Seen& seen, const Grid::Source& grid);
   [[nodiscard]] bool counted_all(int topic);
   [[nodiscard]] Result<bool> release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;
@@ -118,7 +119,10 @@ class Releaser {
     std::uint64_t of = 0;
     std::uint64_t late = 0;  ///< later than the stated jitter
     std::int64_t latest_ns = 0;
-    std::uint64_t off = 0;  ///< pushed: for which the grid had to be moved
+    std::uint64_t off = 0;    ///< pushed: for which its grid had to be moved
+    std::uint64_t early = 0;  ///< ... since they came too soon
+    std::uint64_t came = 0;   ///< pushed: messages, the first and the last of them when
+    std::int64_t first_ns = 0, last_ns = 0;
     std::int64_t farthest_ns = 0;
     std::uint64_t left_out = 0;  ///< pushed: there was no message
     std::uint64_t unheard = 0;   ///< polled: urgent, and nothing certifies that

@@ -8,9 +8,6 @@
 namespace xauto::runtime {
 namespace {
 
-/// A result that makes up for more releases than that counts for so many of them, the newest.
-constexpr int kMostSkipped = 1000;
-
 /// [module] whether messages of `topic` reach it, directly or through others.
 std::vector<char> reached(const Graph& graph, int topic) {
   std::vector<char> seen(graph.modules.size(), 0);
@@ -189,6 +186,38 @@ void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
   missed_us = std::max(missed_us.value_or(0), latency_us);
 }
 
+void Routes::released(std::size_t source, std::int64_t origin_ns) {
+  const Guard lock(*mutex_);
+  newest_ns_ = origin_ns;
+  for (Route& route : routes_) {
+    if (route.source != source || route.period_ns == 0) continue;
+    route.unknown.push_back(origin_ns);
+    if (route.unknown.size() > kMostUnknown) route.unknown.pop_front();
+  }
+}
+
+/// How many of the unknown releases a result knows: that of `origin_ns`, and those before it. 0: nothing new.
+std::size_t Routes::newly_known(const Route& route, std::int64_t origin_ns) {
+  // By its place, not by its time: a source that does not keep its jitter may release nominally before
+  // what it released before.
+  const auto known = std::find(route.unknown.rbegin(), route.unknown.rend(), origin_ns);
+  return static_cast<std::size_t>(route.unknown.rend() - known);
+}
+
+/// What the last result says becomes as old as it gets.
+void Routes::grow_old(Route& route, std::int64_t now_ns, std::optional<std::int64_t>& missed_us) {
+  if (route.last_origin_ns == 0 || was_off(route, route.last_origin_ns, now_ns)) return;
+  RouteReport& counts = route.counts;
+  const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;
+  counts.age_us.add(age_us);
+  if (route.line != nullptr)
+    route.line->max_age_us.store(counts.age_us.max(), std::memory_order_relaxed);
+  if (!counts.max_age_us || age_us <= *counts.max_age_us) return;
+  ++counts.age_misses;
+  if (route.line != nullptr) route.line->old.fetch_add(1, std::memory_order_relaxed);
+  missed_us = std::max(missed_us.value_or(0), age_us);
+}
+
 std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
                                               const detail::Origins* origins, std::int64_t now_ns,
                                               bool urgent) {
@@ -202,42 +231,36 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
     std::int64_t origin = origin_ns;
     if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];
     if (origin == 0) continue;  // nothing of this sensor is in it
-    RouteReport& counts = route.counts;
-    if (route.period_ns > 0) {
-      // Newly known are the release of `origin` and those since the last one that was known; half a
-      // period tells them apart, since nominal instants are exact to the nanosecond.
-      if (route.last_origin_ns != 0 && origin <= route.last_origin_ns) continue;
+    const auto result_of = [&](std::int64_t release_ns) {
+      if (lockstep_ && release_ns != newest_ns_)
+        ++route.counts.not_measured;
+      else
+        count(route, release_ns, now_ns, missed_us);
+    };
+    if (route.period_ns == 0) {
+      result_of(origin);
+    } else {
+      const std::size_t known = newly_known(route, origin);
+      if (known == 0) continue;
+      const auto end = route.unknown.begin() + static_cast<std::ptrdiff_t>(known);
       if (route.last_origin_ns == 0 && route.through_samples) {
+        route.unknown.erase(route.unknown.begin(), end);
         route.last_origin_ns = origin;
         continue;
       }
       if (urgent && route.hurries) {
-        counts.urgent_us.add((now_ns - origin) / 1000);
+        route.counts.urgent_us.add((now_ns - origin) / 1000);
         if (route.line != nullptr) route.line->add_urgent((now_ns - origin) / 1000);
       }
-      std::int64_t newly = origin;
-      for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
-        if (route.last_origin_ns == 0 ? newly != origin
-                                      : newly - route.last_origin_ns < route.period_ns / 2)
-          break;
-        count(route, newly, now_ns, missed_us);
-      }
-    } else {
-      count(route, origin, now_ns, missed_us);
+      for (auto release = end; release != route.unknown.begin();) result_of(*--release);
+      route.unknown.erase(route.unknown.begin(), end);
     }
-    if (route.last_origin_ns != 0 && !was_off(route, route.last_origin_ns, now_ns)) {
-      const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;
-      counts.age_us.add(age_us);
-      if (route.line != nullptr)
-        route.line->max_age_us.store(counts.age_us.max(), std::memory_order_relaxed);
-      if (counts.max_age_us && age_us > *counts.max_age_us) {
-        ++counts.age_misses;
-        if (route.line != nullptr) route.line->old.fetch_add(1, std::memory_order_relaxed);
-        missed_us = std::max(missed_us.value_or(0), age_us);
-      }
-    }
+    // In an app of one rate it is how long a release took; with several, for how long nobody released.
+    const bool ages = !lockstep_ || (single_rate_ && route.period_ns == 0);
+    if (ages) grow_old(route, now_ns, missed_us);
     route.last_origin_ns = origin;
-    if (route.line != nullptr) route.line->last_origin_ns.store(origin, std::memory_order_relaxed);
+    if (ages && route.line != nullptr)
+      route.line->last_origin_ns.store(origin, std::memory_order_relaxed);
   }
   return missed_us;
 }
@@ -256,15 +279,12 @@ std::uint64_t Routes::missed_for_good(const Route& route, const Unended& unended
   const std::int64_t until_ns =
       route.through_samples ? *std::max_element(unended.newest_ns.begin(), unended.newest_ns.end())
                             : unended.at_ns;
-  std::uint64_t missed = 0;
-  // As they are counted where a result knows them.
-  const std::int64_t known_ns = route.last_origin_ns;
-  if (known_ns == 0 && route.through_samples) return 0;
-  const std::int64_t after_ns =
-      known_ns > 0 ? known_ns : unended.first_ns[route.source] - route.period_ns;
-  for (std::int64_t at = newest_ns; at - after_ns > route.period_ns / 2; at -= route.period_ns)
-    if (until_ns - at > limit_ns && !was_off(route, at, unended.at_ns)) ++missed;
-  return missed;
+  // As they are counted where a result knows them. In lockstep time between releases means nothing.
+  if (lockstep_ || (route.last_origin_ns == 0 && route.through_samples)) return 0;
+  return static_cast<std::uint64_t>(
+      std::count_if(route.unknown.begin(), route.unknown.end(), [&](std::int64_t at) {
+        return until_ns - at > limit_ns && !was_off(route, at, unended.at_ns);
+      }));
 }
 
 std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost,

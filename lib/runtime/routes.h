@@ -33,7 +33,12 @@ struct FlowLine;
 // its worst case is about: from the nominal release k to the end of the first job that knows k or a
 // newer one. Each release counts, also those that a result has skipped. Where a chain leads through
 // samples, the first that comes is not counted, nor are those before it: a reader that starts for the
-// first time may have been late for it, and no worst case is about that (docs/steady-state.md).
+// first time may have been late for it, and no worst case is about that (docs/steady-state.md). Which
+// releases there were is told here as they happen: no period is asked, since a sensor may not keep it.
+//
+// In lockstep the next release comes when the last one has drained. A result of the newest release took
+// as long as it says. One that waited for another release waited for us, and measures nothing: it is
+// counted, without a time.
 
 /// Threads: any.
 class Routes {
@@ -48,6 +53,10 @@ class Routes {
   /// Counts on the board from here on, too: chain i is flow i + 1. `grid`: null where releases do
   /// not come by periods.
   void show_on(Board& board, const Grid* grid = nullptr);
+  /// Each release waits for the one before. Before the run.
+  void in_lockstep() { lockstep_ = true; }
+  /// `source` is about to release what has a message; one after the other.
+  void released(std::size_t source, std::int64_t origin_ns);
   /// Whether a chain ends at `node` of the graph.
   [[nodiscard]] bool end_at(int node) const {
     return !ends_[static_cast<std::size_t>(node)].empty();
@@ -69,8 +78,7 @@ class Routes {
   struct Unended {
     std::int64_t at_ns = 0;                ///< when it did
     std::vector<std::uint64_t> of_module;  ///< activations
-    std::vector<std::int64_t> first_ns,
-        newest_ns;  ///< [source] its first and last release; 0: none
+    std::vector<std::int64_t> newest_ns;   ///< [source] its last release; 0: none
   };
   /// `lost`: [module] activations that failed or were dropped. `unended`: null: nothing was left.
   [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost,
@@ -85,8 +93,9 @@ class Routes {
     bool through_samples = false;
     std::int64_t shift_ns = 0;   ///< of the source's releases against its component's
     std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
-    FlowLine* line = nullptr;    ///< null: nobody looks
-    bool hurries = false;        ///< an urgent activation of its end is of an urgent release
+    std::deque<std::int64_t> unknown = {};  ///< releases of the source that no result knows yet
+    FlowLine* line = nullptr;               ///< null: nobody looks
+    bool hurries = false;  ///< an urgent activation of its end is of an urgent release
   };
   void count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
              std::optional<std::int64_t>& missed_us);
@@ -101,13 +110,19 @@ class Routes {
     std::int64_t from_ns = 0;
     std::vector<char> chains;
   };
+  /// Of releases that are known together: the newest ones count.
+  static constexpr std::size_t kMostUnknown = 1000;
+  [[nodiscard]] static std::size_t newly_known(const Route& route, std::int64_t origin_ns);
+  void grow_old(Route& route, std::int64_t now_ns, std::optional<std::int64_t>& missed_us);
   static constexpr std::size_t kKeptClaims = 64;
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
+  bool lockstep_ = false;
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
-  std::vector<Route> routes_;  ///< counts guarded by mutex_
-  std::deque<Claims> claims_;  ///< likewise; by time
-  std::deque<Have> haves_;     ///< likewise
+  std::vector<Route> routes_;   ///< counts guarded by mutex_
+  std::deque<Claims> claims_;   ///< likewise; by time
+  std::deque<Have> haves_;      ///< likewise
+  std::int64_t newest_ns_ = 0;  ///< likewise; the last release of all
 };
 
 }  // namespace xauto::runtime

@@ -55,6 +55,8 @@ struct RouteReport {
   std::uint64_t deadline_misses = 0;
   std::uint64_t lost = 0;        ///< activations of `to` that failed, were dropped or did not end
   std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
+  /// In lockstep: results that waited for another release. They have a time that measures nothing.
+  std::uint64_t not_measured = 0;
   /// By tables of keys: releases that took longer than their table claims, or the change that they met.
   std::uint64_t over_claim = 0;
   Distribution latency_us, age_us;

@@ -51,8 +51,9 @@ template <class Io, Is<RouteReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "from", x.from, "to", x.to, "deadline_us", x.deadline_us, "max_age_us",
      x.max_age_us, "deadline_misses", x.deadline_misses, "lost", x.lost, "age_misses", x.age_misses,
-     "over_claim", x.over_claim, "over_us", x.over_us, "over_claimed_us", x.over_claimed_us,
-     "latency_us", x.latency_us, "age_us", x.age_us, "urgent_us", x.urgent_us);
+     "not_measured", x.not_measured, "over_claim", x.over_claim, "over_us", x.over_us,
+     "over_claimed_us", x.over_claimed_us, "latency_us", x.latency_us, "age_us", x.age_us,
+     "urgent_us", x.urgent_us);
 }
 
 template <class Io, Is<ContextReport> T>

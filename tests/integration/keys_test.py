@@ -173,6 +173,29 @@ class Keys(unittest.TestCase):
         self.assertIn("each release waits for the one before (--lockstep)", report["worst_case_broken"])
         self.assertIn("do not hold in this run", done.stderr)
 
+    def test_in_lockstep_the_time_between_releases_is_no_measurement(self):
+        for flags in ((), ("--isolate",)):
+            run = json.loads(self.run_app("--lockstep", "--activations", 4, *flags).stdout)["runs"][0]
+            chains = {c["name"]: c for c in run["chains"]}
+            done = {m["name"]: m for m in run["modules"]}
+            none = {"p50": None, "p99": None, "max": None}
+            for chain in chains.values():
+                self.assertEqual(chain["age_us"], none)
+            # `control` lies within one module: each of its activations is a result, and took as long as it says.
+            control, ctl = chains.pop("control"), done["CTL"]
+            self.assertEqual(control["results"], ctl["activations"])
+            self.assertEqual([control["latency_us"][q] for q in ("p50", "p99", "max")],
+                             [ctl[q] for q in ("p50_us", "p99_us", "max_us")])
+            self.assertNotIn("not_measured", control)
+            # The others wait for a tick to sample what is there. The first that comes through a sample counts nowhere.
+            for chain, module in (("lane", "LA"), ("behind", "RCD"), ("obstacle", "LD")):
+                self.assertLess(chains[chain]["results"] + chains[chain]["not_measured"], done[module]["activations"])
+                self.assertGreater(chains[chain]["not_measured"], 0)
+                self.assertEqual(chains[chain]["deadline_misses"], 0, "nothing is late that was not measured")
+                if chains[chain]["results"] == 0:
+                    self.assertEqual(chains[chain]["latency_us"], none)
+            self.assertTrue([n for n in run["notes"] if "means nothing in lockstep" in n], run["notes"])
+
     def test_isolated_modules_follow_the_same_keys(self):
         report = json.loads(self.run_app("--seconds", 2, "--isolate").stdout)["runs"][0]
         self.assertEqual([m["dropped"] + m["failed"] for m in report["modules"]], [0] * 9)

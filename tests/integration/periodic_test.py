@@ -2,6 +2,7 @@
 """An app of version 2 from file to policy: solve, check and simulate agree, and each says no where the answer is no."""
 import json
 import pathlib
+import re
 import tempfile
 import unittest
 from xml.etree import ElementTree
@@ -167,6 +168,12 @@ class Periodic(unittest.TestCase):
         for chain in told["chains"]:
             for step in zip(chain["path"][1:], chain["path"][2:]):
                 self.assertIn(step, steps)
+        # `check` names the same way, and words say what JSON says.
+        paths = {chain["name"]: chain["path"] for chain in told["chains"]}
+        self.assertEqual({chain["name"]: chain["path"] for chain in self.check()["chains"]}, paths)
+        words = self.run_tool("check", "--app", "app.json", "--policy", "policy.json").stdout
+        for name, path in paths.items():
+            self.assertRegex(words, f"(?m)^  {re.escape(name)} .* {re.escape(' > '.join(path))}$")
         moved = {move["change"].split(" on ")[0] for move in told["moves"]}
         brake = next(chain for chain in told["chains"] if chain["name"] == "brake")
         self.assertIn("fcd.infer", brake["path"])

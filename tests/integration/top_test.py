@@ -106,6 +106,22 @@ class Top(unittest.TestCase):
         self.assertIn("src -> C", done.stdout)
         self.assertNotIn("\x1b", done.stdout)
         self.assertIn(f"{tool.pid}-0\n", xauto("top", "--list").stdout)
+        self.assertIn(f"{tool.pid}-0", json.loads(xauto("top", "--list", "--json").stdout)["runs"])
+
+    @unittest.skipIf(os.geteuid() != 0, "it takes two users")
+    def test_a_run_of_another_user_is_not_listed_and_said_to_be_theirs(self):
+        run = f"{os.getpid()}-78"
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.addCleanup(listener.close)
+        listener.bind(f"\0xauto/{run}/live")
+        listener.listen()
+        self.assertIn(run, xauto("top", "--list").stdout, "root may ask everybody")
+        nobody = {"user": 65534, "capture_output": True, "text": True, "timeout": 60}
+        for words in (["--list"], ["--list", "--json"]):
+            self.assertNotIn(run, subprocess.run([XAUTO, "top", *words], **nobody).stdout)
+        done = subprocess.run([XAUTO, "top", "--run", run, "--wait-s", "0"], **nobody)
+        self.assertNotEqual(done.returncode, 0)
+        self.assertIn(f"run '{run}' is of root", done.stderr)
 
     def test_isolated_modules_are_counted_too(self):
         tool = self.start("period", 20000, files=[*testapp_files(self.folder), "--isolate"])

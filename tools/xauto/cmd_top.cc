@@ -299,7 +299,11 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
 
 Result<int> top(const TopFlags& flags, const Options& options) {
   if (flags.list) {
-    for (const std::string& run : running()) std::cout << run << "\n";
+    const std::vector<std::string> runs = ours();
+    if (options.json)
+      std::cout << Json{{"runs", runs}}.dump() << "\n";
+    else
+      for (const std::string& run : runs) std::cout << run << "\n";
     return kDone;
   }
   const StopOnSignal stop;
@@ -307,7 +311,9 @@ Result<int> top(const TopFlags& flags, const Options& options) {
   // A script gets one look, and does not wait for the run's end.
   const int count = flags.once ? 1 : flags.count >= 0 ? flags.count : terminal ? 0 : 1;
   Observed observed;
-  XAUTO_ASSIGN(observed.run, watch(flags.run, flags.wait_s, *stop.flag()));
+  Result<Watched> watched = watch(flags.run, flags.wait_s, *stop.flag());
+  if (!watched) XAUTO_TRY(not_of_others(flags.run));
+  XAUTO_ASSIGN(observed.run, std::move(watched));
   kernel::TracerOptions tracer_options;
   tracer_options.events = false;
   tracer_options.pin = false;

@@ -103,11 +103,12 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
     count(kind, n, true, fmt::format("{} {}", n, what));
   });
   const runtime::BoardHeader& header = board.header();
-  const std::uint64_t late = board.late();
+  const std::uint64_t late = board.late(), early = header.early.load();
   count("release_off_grid", late, true,
         fmt::format("{} releases were not where app.json's period and jitter have them, by up to "
-                    "{} us",
-                    late, (board.latest_ns() + 999) / 1000));
+                    "{} us{}",
+                    late, (board.latest_ns() + 999) / 1000,
+                    early > 0 ? fmt::format("; {} of them came too soon", early) : ""));
   // Chains of keys are about releases that overlap.
   const std::uint64_t overlapping = header.overlapping.load();
   count("release_overlap", overlapping, one_policy || tables,

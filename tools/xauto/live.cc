@@ -120,17 +120,28 @@ Status may_ask(int socket, const std::string& run) {
 
 }  // namespace
 
+Status not_of_others(const std::string& name) {
+  const std::vector<std::string> runs = running();
+  const std::string run = name.empty() && runs.size() == 1 ? runs.front() : name;
+  if (run.empty()) return {};
+  const auto socket = connect_abstract(address_of(run, launch::kLiveName));
+  return socket ? may_ask(socket->get(), run) : Status();
+}
+
 Result<Watched> find_run(const std::string& name, int wait_s) {
   const std::atomic<bool> never{false};
   auto watched = watch(name, wait_s, never);
-  if (watched) return watched;
-  // One of somebody else's is seen, and says nothing.
-  const std::vector<std::string> runs = running();
-  const std::string run = name.empty() && runs.size() == 1 ? runs.front() : name;
-  if (!run.empty())
-    if (const auto socket = connect_abstract(address_of(run, launch::kLiveName)))
-      XAUTO_TRY(may_ask(socket->get(), run));
+  if (!watched) XAUTO_TRY(not_of_others(name));
   return watched;
+}
+
+std::vector<std::string> ours() {
+  std::vector<std::string> runs = running();
+  std::erase_if(runs, [](const std::string& run) {
+    const auto socket = connect_abstract(address_of(run, launch::kLiveName));
+    return !socket || !may_ask(socket->get(), run);  // it has just ended, or is somebody else's
+  });
+  return runs;
 }
 
 Result<Json> ask_desk(const Watched& run, const Json& request) {

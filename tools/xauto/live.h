@@ -27,6 +27,10 @@ struct Watched {
 };
 /// Of this network namespace.
 [[nodiscard]] std::vector<std::string> running();
+/// Of these, those that answer this user.
+[[nodiscard]] std::vector<std::string> ours();
+/// Why a run that goes on (empty: the only one) says nothing: it is somebody else's.
+[[nodiscard]] Status not_of_others(const std::string& name);
 /// Where one of the run's sockets listens; without `name`, what all their addresses begin with.
 [[nodiscard]] std::string address_of(const std::string& run, const std::string& name);
 /// For people: the name, or "uid 1000" where it has none.

@@ -425,6 +425,14 @@ std::vector<int> whole_path(const AppSpec& app, const Platform& platform, const 
   return whole;
 }
 
+/// Of chain `c` of the report: source, then every XNode on its worst path.
+std::vector<std::string> names_on_path(const AppSpec& app, const std::vector<int>& whole,
+                                       std::size_t c) {
+  std::vector<std::string> list = {app.sources[at(app.chains[c].from)].name};
+  for (const int i : whole) list.push_back(app.xnodes[at(i)].name);
+  return list;
+}
+
 Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
                              const std::string& picture, const Options& options) {
   Outputs outputs;
@@ -451,11 +459,7 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
                                                 1, on_path.size() * (platform.xpus.size() - 1))),
                                   0.05, 0.5);
   XAUTO_ASSIGN(const auto moved, steady::moves(app, platform, policy, on_path, small));
-  const auto names = [&](std::size_t c) {
-    std::vector<std::string> list = {app.sources[at(app.chains[c].from)].name};
-    for (const int i : ways[c]) list.push_back(app.xnodes[at(i)].name);
-    return list;
-  };
+  const auto names = [&](std::size_t c) { return names_on_path(app, ways[c], c); };
   if (options.json) {
     Json root = {{"schema", "xauto.explanation"}, {"version", 2}, {"proofs", proofs(report)}};
     for (std::size_t c = 0; c < report.chains.size(); ++c)
@@ -504,18 +508,23 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
       missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
                                    ms(*chain.deadline_us)));
   const int status = missed.empty() ? kDone : kAnswerIsNo;
+  std::vector<std::vector<std::string>> paths;  // [chain]
+  for (std::size_t c = 0; c < report->chains.size(); ++c)
+    paths.push_back(names_on_path(
+        app, whole_path(app, platform, policy, app.chains[c], report->chains[c].path), c));
   if (options.json) {
     root["missed"] = missed;
     root["lies"] = Json::array();
     root["proofs"] = proofs(*report);
-    for (const steady::ChainProof& chain : report->chains) {
+    for (std::size_t c = 0; c < report->chains.size(); ++c) {
+      const steady::ChainProof& chain = report->chains[c];
       Json j = {{"name", chain.name},
                 {"worst_case_us", chain.derived_us},
                 {"claimed_us", chain.claimed_us},
                 {"own_bound_us", chain.own_bound_us},
                 {"claimed_bound_us", chain.claimed_bound_us},
                 {"late", chain.late()},
-                {"path", chain.path}};
+                {"path", paths[c]}};
       if (chain.urgent_us) {
         j["urgent_worst_case_us"] = *chain.urgent_us;
         j["claimed_urgent_us"] = chain.claimed_urgent_us.value_or(0);
@@ -528,11 +537,11 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
   std::cout << proof_table(policy, *report);
   std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
                            "the worst path");
-  for (const steady::ChainProof& chain : report->chains) {
-    std::string way;
-    for (const std::string& step : chain.path) way += (way.empty() ? "" : " > ") + step;
+  for (std::size_t c = 0; c < report->chains.size(); ++c) {
+    const steady::ChainProof& chain = report->chains[c];
     std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
-                             ms(chain.claimed_us), way, chain.late() ? "   MISSED" : "");
+                             ms(chain.claimed_us), fmt::join(paths[c], " > "),
+                             chain.late() ? "   MISSED" : "");
     if (chain.urgent_us)
       std::cout << fmt::format("  {:<24}{:>14}{:>14}\n", "  urgent", ms(*chain.urgent_us),
                                ms(chain.claimed_urgent_us.value_or(0)));

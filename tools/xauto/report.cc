@@ -436,6 +436,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         if (claimed.claim.urgent_worst_case_us)
           chain["urgent_worst_case_us"] = *claimed.claim.urgent_worst_case_us;
       }
+      if (r.not_measured > 0) chain["not_measured"] = r.not_measured;
       if (r.urgent_us.count() > 0) {
         chain["urgent_results"] = r.urgent_us.count();
         chain["urgent_us"] = quantiles_json(r.urgent_us);

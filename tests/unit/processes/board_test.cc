@@ -48,6 +48,10 @@ TEST(Board, IsReadByOneWhoCannotWriteIt) {
   for (const std::int64_t ns : {5, 7, 6}) (*board)->count_late(ns);
   EXPECT_EQ((*seen)->late(), 3u);
   EXPECT_EQ((*seen)->latest_ns(), 7);
+  EXPECT_EQ((*seen)->header().early.load(), 0u);
+  (*board)->count_late(1, true);
+  EXPECT_EQ((*seen)->late(), 4u);
+  EXPECT_EQ((*seen)->header().early.load(), 1u);
   EXPECT_EQ((*seen)->unkept(), "");
   (*board)->tell_unkept(std::string(5'000, 'u'));
   EXPECT_EQ((*seen)->unkept(), std::string(kBoardTextBytes - 1, 'u'));

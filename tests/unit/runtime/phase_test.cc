@@ -183,6 +183,91 @@ TEST(Phase, ASilentSensorLosesItsReleasesAsTimeGoesOn) {
   }
 }
 
+/// It is released all the same, at once, and whoever shares its clock goes on as before.
+TEST(Phase, ASensorThatIsTooFastTakesNobodyAlong) {
+  for (const std::int64_t jitter : {std::int64_t{0}, 2 * kMs})
+    for (const double speed : {0.99, 0.9, 0.5, 0.05}) {
+      SCOPED_TRACE(speed);
+      Sensor fast = camera(jitter), other = camera(jitter);
+      fast.speed = speed;
+      ClockPhase phase(0);
+      ClockPhase::Stream of_fast, of_other;
+      ASSERT_TRUE(phase.arrived(fast.due(0), fast.source, of_fast));
+      const std::int64_t base = *phase.base_ns();
+      ASSERT_TRUE(phase.arrived(other.due(0), other.source, of_other));
+      int early = 0, off = 0, messages = 1;
+      std::int64_t last = fast.due(0);
+      for (std::uint64_t n = 1, k = 1; k < 120;) {
+        if (other.due(k) < fast.due(n)) {
+          const auto seen = phase.arrived(other.due(k), other.source, of_other);
+          ASSERT_TRUE(seen && seen->number == k);
+          EXPECT_EQ(seen->off_ns, 0) << k;
+          ++k;
+          continue;
+        }
+        const auto seen = phase.arrived(fast.due(n), fast.source, of_fast);
+        ASSERT_TRUE(seen) << n;
+        EXPECT_EQ(seen->number, n) << "each has a number of its own";
+        EXPECT_LE(fast.due(n) - seen->nominal_ns, jitter) << "released when it came";
+        EXPECT_LE(last, fast.due(n));
+        last = fast.due(n++);
+        early += seen->early ? 1 : 0;
+        off += seen->off_ns > 0 ? 1 : 0;
+        ++messages;
+      }
+      EXPECT_EQ(off, early);
+      EXPECT_GT(early, messages * 8 / 10);
+      // A clock of 0 ppm has the rounding of each message that was as stated.
+      EXPECT_NEAR(static_cast<double>(*phase.base_ns()), static_cast<double>(base), 120 * 1.1e3);
+    }
+}
+
+TEST(Phase, ASensorThatIsTooSlowOrStopsTakesNobodyAlong) {
+  Sensor slow = camera(kMs), other = camera(kMs);
+  slow.speed = 1.1;
+  ClockPhase phase(0);
+  ClockPhase::Stream of_slow, of_other;
+  int off = 0;
+  std::uint64_t n = 0;
+  for (std::uint64_t k = 0; k < 200;) {
+    if (slow.due(n) <= other.due(k)) {
+      const auto seen = phase.arrived(slow.due(n++), slow.source, of_slow);
+      ASSERT_TRUE(seen);
+      off += seen->off_ns > 0 ? 1 : 0;
+      if (n == 100) slow.start_ns += 3600 * 1000 * kMs;  // an hour
+      continue;
+    }
+    const auto seen = phase.arrived(other.due(k), other.source, of_other);
+    ASSERT_TRUE(seen && seen->number == k) << k;
+    EXPECT_EQ(seen->off_ns, 0) << k;
+    ++k;
+  }
+  EXPECT_GT(off, 80);
+  const std::int64_t base = *phase.base_ns();
+  ASSERT_TRUE(phase.arrived(slow.due(n), slow.source, of_slow)) << "it begins anew";
+  EXPECT_EQ(*phase.base_ns(), base);
+  const auto seen = phase.arrived(slow.due(n + 1), slow.source, of_slow);
+  ASSERT_TRUE(seen);
+  EXPECT_LE(slow.due(n + 1) - seen->nominal_ns, slow.source.period_ns());
+}
+
+/// A message out of turn is one: those after it are as stated.
+TEST(Phase, WhoIsBackOnTheClocksGridIsAsStated) {
+  for (const std::int64_t by : {-9 * kMs, -20 * kMs}) {
+    const Sensor sensor = camera(kMs);
+    ClockPhase phase(100);
+    int off = 0;
+    ClockPhase::Stream stream;
+    for (std::uint64_t k = 0; k < 100; ++k) {
+      const auto seen = phase.arrived(sensor.due(k) + (k == 50 ? by : 0), sensor.source, stream);
+      ASSERT_TRUE(seen && seen->number == k) << k;
+      off += seen->off_ns > 0 ? 1 : 0;
+    }
+    EXPECT_EQ(off, 1);
+    EXPECT_EQ(stream.shift_ns, 0);
+  }
+}
+
 TEST(Phase, NoArrivalMakesItOverflowOrGoBack) {
   std::mt19937_64 random(11);
   Sensor sensor = camera(kMs);

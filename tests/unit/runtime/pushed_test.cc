@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sources that are pushed into: every publish is a release, and nothing is kept for another run.
+#include <algorithm>
 #include <cctype>
 #include <chrono>
 #include <optional>
@@ -81,6 +82,70 @@ TEST(Pushed, EveryPublishIsAReleaseWithItsNumberAndTheTimeOfTheCall) {
   EXPECT_EQ(count(app.log(), "c1"), 5u);
 }
 
+/// By keys, camera -> A and tick -> T: both have the period 10 ms and the clock "main", and the tick is polled.
+class PushedByKeys : public PushedApp {
+ public:
+  PushedByKeys() : PushedApp(10ms) {
+    const Topic<int> tick("tick"), a("a/out"), t("t/out");
+    spec.modules.clear();
+    spec.sources.push_back(
+        {*detail::topic_spec(tick), 10ms,
+         [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+           return std::make_shared<const int>(static_cast<int>(k));
+         }});
+    add("A", {"a1"}, {*detail::topic_spec(camera_topic())}, a);
+    add("T", {"t1"}, {*detail::topic_spec(tick)}, t);
+    AppSpec& app = session.app;
+    app.version = 2;
+    app.sources = {{"camera", {10'000}}, {"tick", {10'000}}};
+    app.modules = {{"A"}, {"T"}};
+    app.edges.clear();
+    app.xnodes = {{"a1", "A", {{"cpu", 1'000}}}, {"t1", "T", {{"cpu", 1'000}}}};
+    for (int x : {0, 1}) app.xnodes[static_cast<std::size_t>(x)].sources = {x};
+    app.chains = {{"camera", 0, 0}, {"tick", 1, 1}};
+    session.keys.emplace();
+    session.keys->placements = {{0, {5'000}}, {0, {5'000}}};
+    session.policy.placements = {{0, 2}, {0, 1}};
+    session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 256};
+    session.lockstep = false;
+    session.activations = 0;
+    session.duration_us = 300'000;
+  }
+  /// Publishes every `us` from now on, until the run is over.
+  void publish_every(std::chrono::microseconds us) {
+    driver = [this, us] {
+      auto next = std::chrono::steady_clock::now();
+      while (camera->publish(published)) {
+        ++published;
+        std::this_thread::sleep_until(next += us);
+      }
+    };
+  }
+  [[nodiscard]] const Topic<int>& camera_topic() const { return TestApp::camera; }
+  int published = 0;
+};
+
+TEST(Pushed, WhoIsTooFastHurriesNobodyOnItsClock) {
+  PushedByKeys app;
+  app.publish_every(2ms);
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  const ModuleReport &a = report->modules[0], &t = report->modules[1];
+  // Of the time grid alone: some 32 in 300 ms, whatever comes on the clock. They were 160.
+  EXPECT_LE(t.activations + t.dropped, 45u);
+  EXPECT_GT(t.activations, 20u);
+  // Each message is a release, and each result that of its own.
+  EXPECT_EQ(a.activations + a.dropped + too_late(*report),
+            static_cast<std::uint64_t>(app.published));
+  EXPECT_GT(a.activations, 60u);
+  EXPECT_GE(report->routes[0].latency_us.count(), a.activations);
+  std::string broken;
+  for (const std::string& line : report->broken) broken += line + "\n";
+  EXPECT_NE(broken.find("source 'camera' was up to "), std::string::npos) << broken;
+  EXPECT_NE(broken.find("came sooner than its period and jitter allow"), std::string::npos);
+  EXPECT_NE(broken.find(" came in the time of "), std::string::npos) << broken;
+}
+
 TEST(Pushed, InLockstepMessagesWaitTheirTurnAndNothingIsLost) {
   PushedApp app;
   app.session.activations = 100;
@@ -92,6 +157,38 @@ TEST(Pushed, InLockstepMessagesWaitTheirTurnAndNothingIsLost) {
   EXPECT_TRUE(report->complete) << report->note;
   EXPECT_EQ(report->num_releases, 100u);
   EXPECT_EQ(report->lost_releases, 0u);
+}
+
+/// Of several rates: polled releases are not late by what is pushed before them, and both drain.
+TEST(Pushed, InLockstepPolledReleasesComeWhenTheyAreSaidTo) {
+  PushedByKeys app;
+  app.session.lockstep = true;
+  app.session.duration_us = 0;
+  app.session.activations = 4;
+  std::atomic<int> inside{0}, most{0};
+  app.exec = [&](const std::string&, std::uint64_t) -> Status {
+    most = std::max(most.load(), ++inside);
+    std::this_thread::sleep_for(2ms);
+    --inside;
+    return {};
+  };
+  app.driver = [&] {
+    for (int k = 0; k < 6; ++k) EXPECT_TRUE(app.camera->publish(k));
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->modules[1].activations, 4u);
+  EXPECT_GE(report->modules[0].activations, 1u);
+  EXPECT_EQ(most.load(), 1) << "each release waits for the one before";
+  for (const std::size_t chain : {0u, 1u}) {
+    const RouteReport& route = report->routes[chain];
+    EXPECT_EQ(route.latency_us.count(), report->modules[chain].activations);
+    EXPECT_EQ(route.not_measured, 0u);
+  }
+  // The run waits 100 ms between two of them; that is nobody's latency. Of the fastest one, since a machine may stall.
+  const std::vector<std::int64_t> us = report->routes[1].latency_us.exact();
+  ASSERT_FALSE(us.empty());
+  EXPECT_LT(*std::min_element(us.begin(), us.end()), 90'000);
 }
 
 TEST(Pushed, WhatComesTooEarlyIsReleasedAndCounted) {

@@ -2,6 +2,8 @@
 // Latency and age of chains, by times that the test makes up.
 #include "runtime/routes.h"
 
+#include <optional>
+
 #include <gtest/gtest.h>
 
 #include "processes/board.h"
@@ -124,6 +126,7 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
     origins[0] = origin_us * 1000;
     routes->published(0, 1, &origins, now_us * 1000, urgent);
   };
+  for (const std::int64_t us : {1000, 1100, 1200, 1300, 1400}) routes->released(0, us * 1000);
   result(1000, 1120);        // the first that is known: 120
   result(1000, 1150);        // knows nothing new
   result(1300, 1390, true);  // 1100, 1200 and 1300, which waited 290, 190 and 90
@@ -150,11 +153,12 @@ TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
   app.chains = {{"to Fuse", 0, 0, 250}, {"to Plan", 0, 1, 250}, {"sampled", 0, 2, 250}};
   auto routes = Routes::make(graph, grid, {}, app);
   ASSERT_TRUE(routes);
+  for (std::int64_t us = 1000; us <= 1900; us += 100) routes->released(0, us * 1000);
   detail::Origins origins{};
   origins[0] = 1'600'000;
   routes->published(0, 1, &origins, 1'650'000);
   routes->published(2, 1, &origins, 1'650'000);
-  const Routes::Unended left{2'000'000, {3, 10, 2}, {1'000'000, 1'000'000}, {1'900'000, 1'900'000}};
+  const Routes::Unended left{2'000'000, {3, 10, 2}, {1'900'000, 1'900'000}};
   const auto reports = routes->report({0, 0, 1}, &left);
   EXPECT_EQ(reports.at(0).lost, 3u);
   EXPECT_EQ(reports.at(0).deadline_misses, 1u) << "1700; 1800 and 1900 still had time";
@@ -167,10 +171,131 @@ TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
 TEST(Routes, InAnAppOfOneRateWhatDidNotEndIsMissed) {
   auto routes = Routes::make(make_graph(true), {}, {}, with_deadline(50));
   ASSERT_TRUE(routes);
-  Routes::Unended left{2'000'000, {0, 4, 0}, {1'000'000, 1'000'000}, {1'900'000, 1'900'000}};
+  Routes::Unended left{2'000'000, {0, 4, 0}, {1'900'000, 1'900'000}};
   EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 5u);
   left.at_ns = 1'940'000;  // nobody knows how many of them still had time
   EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 1u);
+}
+
+/// An app of version 2 by hand: the lidar's period is 100 us, and "c" leads to Fuse, of its own component.
+struct ByKeys {
+  explicit ByKeys(std::int64_t period_us = 100) {
+    Graph graph = make_graph(false);
+    graph.sources = {{"lidar", {period_us}}, {"camera", {30}}};
+    graph.modules[0].component = 0;
+    graph.modules[1].component = 1;  // Plan samples what it hears of
+    graph.modules[2].component = 2;
+    Grid grid;
+    grid.periodic = true;
+    grid.sources = {{{period_us}, 0, 0}, {{30}, 0, 0}};
+    grid.urgent_source = {-1, -1, -1};
+    AppSpec app;
+    app.version = 2;
+    app.sources = graph.sources;
+    app.xnodes = {{"Fuse", "Fuse", {}}, {"Plan", "Plan", {}}};
+    app.chains = {{"c", 0, 0, 250}, {"through", 0, 1, 250}};
+    auto made = Routes::make(graph, grid, {}, app);
+    EXPECT_TRUE(made);
+    routes.emplace(std::move(*made));
+  }
+  void released(std::int64_t us, std::size_t source = 0) { routes->released(source, us * 1000); }
+  void result(std::int64_t origin_us, std::int64_t at_us, int node = 0) {
+    detail::Origins origins{};
+    origins[0] = origin_us * 1000;
+    routes->published(node, 1, &origins, at_us * 1000);
+  }
+  [[nodiscard]] RouteReport report(std::size_t chain = 0) const {
+    return routes->report({0, 0, 0}).at(chain);
+  }
+  std::optional<Routes> routes;
+};
+
+using Times = std::vector<std::int64_t>;
+
+/// A sensor need not keep its period: a result counts for the releases that there were.
+TEST(Routes, EveryReleaseCountsHoweverNearToTheOneBefore) {
+  ByKeys fast;
+  for (std::int64_t us = 1000; us < 1200; us += 20) {
+    fast.released(us);
+    fast.result(us, us + 7);
+  }
+  EXPECT_EQ(fast.report().latency_us.exact(), Times(10, 7));
+  // One result for three of them.
+  for (const std::int64_t us : {2000, 2001, 2003}) fast.released(us);
+  fast.result(2003, 2010);
+  const Times all = fast.report().latency_us.exact();
+  EXPECT_EQ(Times(all.end() - 3, all.end()), (Times{7, 9, 10}));
+}
+
+TEST(Routes, WhatWasNeverReleasedHasNoLatency) {
+  ByKeys slow;
+  for (const std::int64_t us : {1000, 1350, 2700}) {  // 100 is stated
+    slow.released(us);
+    slow.result(us, us + 7);
+  }
+  EXPECT_EQ(slow.report().latency_us.exact(), Times(3, 7));
+}
+
+/// After a message that came too soon the next one may be nominally before it.
+TEST(Routes, ReleasesCountInTheirOrderNotByTheirTimes) {
+  ByKeys app;
+  for (const std::int64_t us : {1000, 1110, 1105}) app.released(us);
+  app.result(1000, 1010);
+  app.result(1110, 1120);
+  app.result(1105, 1130);
+  app.result(1105, 1999);  // nothing new
+  EXPECT_EQ(app.report().latency_us.exact(), (Times{10, 10, 25}));
+}
+
+TEST(Routes, ReleasesThatNothingComesOfAreForgottenButTheNewest) {
+  ByKeys app;
+  for (std::int64_t k = 0; k < 5000; ++k) app.released(1000 + k);
+  app.result(1000 + 4999, 6000);
+  EXPECT_EQ(app.report().latency_us.count(), 1000u);
+  EXPECT_EQ(app.report().latency_us.max(), 6000 - (1000 + 4000));
+}
+
+/// In lockstep 100 ms may lie between two releases, and nothing is late by that.
+TEST(Routes, InLockstepOnlyTheNewestReleaseIsTimed) {
+  ByKeys app;
+  app.routes->in_lockstep();
+  const auto board = Board::local({1, 3, 0, 3});
+  app.routes->show_on(*board);
+  std::int64_t at = 1'000'000;
+  for (int k = 0; k < 5; ++k) {
+    app.released(at);
+    app.result(at, at + 5);
+    const std::int64_t lidar = at;
+    for (int of_camera = 0; of_camera < 3; ++of_camera) {
+      at += 100'000;
+      app.released(at, 1);
+      app.result(lidar, at + 3, 1);  // Plan, by the camera, has read what came of the lidar
+    }
+    at += 100'000;
+  }
+  EXPECT_EQ(app.report(0).latency_us.exact(), Times(5, 5));
+  EXPECT_EQ(app.report(0).not_measured, 0u);
+  EXPECT_EQ(app.report(1).latency_us.count(), 0u);
+  EXPECT_EQ(app.report(1).deadline_misses, 0u);
+  EXPECT_EQ(app.report(1).not_measured, 4u) << "the first through a sample counts nowhere";
+  for (const std::size_t chain : {0u, 1u}) {
+    EXPECT_EQ(app.report(chain).age_us.count(), 0u);
+    EXPECT_EQ(board->flow(chain + 1).last_origin_ns.load(), 0) << "`top` shows no age";
+  }
+}
+
+/// In an app of one rate a release drains before the next, and an age is how long that took.
+TEST(Routes, InLockstepAnAppOfOneRateHasAges) {
+  auto routes = Routes::make(make_graph(true), {}, {}, {});
+  ASSERT_TRUE(routes);
+  routes->in_lockstep();
+  for (const std::int64_t us : {1000, 1010, 1020}) {
+    for (const std::size_t source : {0u, 1u}) routes->released(source, us * 1000);
+    routes->published(1, us * 1000, nullptr, (us + 8) * 1000);
+  }
+  const RouteReport r = routes->report({0, 0, 0}).at(0);
+  EXPECT_EQ(r.latency_us.exact(), Times(3, 8));
+  EXPECT_EQ(r.age_us.exact(), Times(2, 18));
 }
 
 /// docs/steady-state.md, "Chains": release k comes through a sample with the first activation n of the
@@ -191,6 +316,7 @@ TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {
   app.chains = {{"through", 0, 2, 250}, {"inside", 0, 1, 250}};
   auto routes = Routes::make(graph, grid, {}, app);
   ASSERT_TRUE(routes);
+  for (std::int64_t n = 0; n < 6; ++n) routes->released(0, (1000 + n * 100) * 1000);
   for (std::int64_t n = 0; n < 5; ++n)
     for (const int node : {1, 2}) {
       // Log, activation n: begins at 100 n + 280, and reads release n + 1. Plan has release n.
