@@ -4,6 +4,10 @@
 //   late[n]  the most real time from the nominal release of the source's message to the nominal
 //            release of that activation, where it is one of class n
 //
+// Two bounds of that are followed side by side, and the smaller one counts at the end. One keeps the way's place on
+// the clock since it came there: all that drifts is added before it drifts. The other one begins anew where the reader
+// before must have started too early: sooner at that sample, but who goes back on the clock later loses drift twice.
+//
 // From u of activation n to v, which samples it, on one clock: u ends by its key. v reads when it
 // starts, which is not before its release + e. So the first activation m of v with
 // (release m) + e_m >= (release n) + d_u knows it. On another clock, or where the phases repeat too
@@ -14,7 +18,9 @@
 #include <algorithm>
 #include <numeric>
 #include <set>
+#include <unordered_map>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -40,16 +46,71 @@ struct Mark {
   Ticks grid = 0;
   [[nodiscard]] bool reached() const { return real > fine(kUnreached); }
 };
-using Late = std::vector<Mark>;
 
 /// What is at least as late as each, however far the grid goes on: most(x + y) <= most(x) + most(y). The
 /// grid of the later one stays, since who goes back on it takes drift off again.
 Mark later(Mark a, Mark b, std::int64_t ppm) {
-  if (!a.reached()) return b;
-  if (!b.reached()) return a;
   if (a.real + fine_most(a.grid, ppm) < b.real + fine_most(b.grid, ppm)) std::swap(a, b);
   return {std::max(a.real, b.real + fine_most(b.grid - a.grid, ppm)), a.grid};
 }
+
+/// However far the grid goes on, `b` is not later.
+bool covers(const Mark& a, const Mark& b, std::int64_t ppm) {
+  return b.real + fine_most(b.grid - a.grid, ppm) <= a.real;
+}
+
+/// One instant that is at most each of both.
+struct Least {
+  Mark kept;   ///< its place since the way came to the clock
+  Mark fresh;  ///< since the last reader that was surely too early
+  [[nodiscard]] bool reached() const { return kept.reached(); }
+};
+
+bool covers(const Least& a, const Least& b, std::int64_t ppm) {
+  return (covers(a.kept, b.kept, ppm) || covers(a.kept, b.fresh, ppm)) &&
+         (covers(a.fresh, b.kept, ppm) || covers(a.fresh, b.fresh, ppm));
+}
+
+/// By class, the latest of some instants. Of most classes there is one; two of which neither covers the other
+/// would lose drift as one.
+class Late {
+ public:
+  explicit Late(std::size_t classes = 0) : first_(classes) {}
+
+  [[nodiscard]] std::size_t size() const { return first_.size(); }
+
+  void add(std::size_t n, const Least& instant, std::int64_t ppm) {
+    Least& first = first_[n];
+    if (!first.reached() || covers(instant, first, ppm)) {
+      first = instant;
+      return;
+    }
+    if (covers(first, instant, ppm)) return;
+    auto& more = more_[n];
+    if (std::ranges::any_of(more, [&](const Least& l) { return covers(l, instant, ppm); })) return;
+    std::erase_if(more, [&](const Least& l) { return covers(instant, l, ppm); });
+    if (more.size() < kMost)
+      more.push_back(instant);
+    else
+      more.back() = {later(more.back().kept, instant.kept, ppm),
+                     later(more.back().fresh, instant.fresh, ppm)};
+  }
+
+  /// `visit` sees all of class n.
+  template <class Visit>
+  void each(std::size_t n, const Visit& visit) const {
+    if (!first_[n].reached()) return;
+    visit(first_[n]);
+    const auto more = more_.find(n);
+    if (more == more_.end()) return;
+    for (const Least& l : more->second) visit(l);
+  }
+
+ private:
+  static constexpr std::size_t kMost = 8;
+  std::vector<Least> first_;
+  std::unordered_map<std::size_t, std::vector<Least>> more_;
+};
 
 class Walk {
  public:
@@ -97,9 +158,10 @@ class Walk {
       for (Ticks& end : ends) end -= offset;
       path_ = {source.name};
       first_ = static_cast<int>(c);
-      XAUTO_TRY(visit(static_cast<int>(c), enters,
-                      Late(static_cast<std::size_t>(home.classes), Mark{0, home.phi - offset}),
-                      ends));
+      Late begins(static_cast<std::size_t>(home.classes));
+      const Mark begin{0, home.phi - offset};
+      for (std::size_t n = 0; n < begins.size(); ++n) begins.add(n, {begin, begin}, home.ppm);
+      XAUTO_TRY(visit(static_cast<int>(c), enters, begins, ends));
     }
     if (proof_.path.empty())
       return fail(ErrorCode::kInvalid,
@@ -148,17 +210,21 @@ class Walk {
     return mark.real + fine_most(mark.grid, c.ppm);
   }
 
+  [[nodiscard]] static Fine value(const Least& instant, const Component& c) {
+    return std::min(value(instant.kept, c), value(instant.fresh, c));
+  }
+
   void arrive(int c, const Late& late, Ticks bound) {
     bound_ = std::max(bound_, bound);
-    for (std::size_t n = 0; n < late.size(); ++n) {
-      if (!late[n].reached()) continue;
-      const Ticks end = ceil_div(value(late[n], w_.components[at(c)]), kMillion) +
-                        due(chain_.to, static_cast<std::int64_t>(n));
-      if (!proof_.path.empty() && end <= worst_) continue;
-      worst_ = end;
-      proof_.path = path_;
-      proof_.path.push_back(w_.name(chain_.to));
-    }
+    for (std::size_t n = 0; n < late.size(); ++n)
+      late.each(n, [&](const Least& l) {
+        const Ticks end = ceil_div(value(l, w_.components[at(c)]), kMillion) +
+                          due(chain_.to, static_cast<std::int64_t>(n));
+        if (!proof_.path.empty() && end <= worst_) return;
+        worst_ = end;
+        proof_.path = path_;
+        proof_.path.push_back(w_.name(chain_.to));
+      });
   }
 
   Status sample(int u, int v, const Late& late, Ticks bound) {
@@ -184,7 +250,7 @@ class Walk {
   [[nodiscard]] static Late of_own_classes(const Late& late, const Component& c) {
     Late own(static_cast<std::size_t>(c.classes));
     for (std::size_t n = 0; n < late.size(); ++n)
-      own[n % own.size()] = later(own[n % own.size()], late[n], c.ppm);
+      late.each(n, [&](const Least& l) { own.add(n % own.size(), l, c.ppm); });
     return own;
   }
 
@@ -196,46 +262,56 @@ class Walk {
         pattern / to.period > static_cast<Ticks>(kMaxClasses))
       return false;
     const Ticks classes = pattern / to.period;
-    next.assign(static_cast<std::size_t>(classes), Mark{});
+    next = Late(static_cast<std::size_t>(classes));
     const Ticks latest = std::ranges::max(w_.windows[at(v)], {}, &Window::e).e;
     work_ += pattern / from.period;
-    for (std::int64_t n = 0; n < pattern / from.period; ++n) {
-      const Mark& so_far = late[static_cast<std::size_t>(n) % late.size()];
-      if (!so_far.reached()) continue;
-      const Ticks release = from.phi + n * from.period;
-      const Ticks end = due(u, n);
-      // The first that knows it with the least drift, up to the one that does with the most.
-      const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
-      const Ticks reach = floor_div(static_cast<__int128>(end - latest) * kMillion,
-                                    kMillion + (end > latest ? to.ppm : -to.ppm));
-      std::int64_t m = floor_div(static_cast<__int128>(release) + reach - to.phi, to.period) - 1;
-      while (most(gap(m), to.ppm) + w_.earliest(v, m) < end) ++m;
-      for (;; ++m) {
-        if (++work_ > kMaxWork) return true;  // sample() says so
-        Mark mark{so_far.real, so_far.grid + gap(m)};
-        const Fine latest_release =
-            value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm);
-        // That has no grid to go back on.
-        if (latest_release + 2 * fine_most(latest_, to.ppm) - 2 * fine(latest_) < value(mark, to))
-          mark = {latest_release, 0};
-        const std::int64_t k = m % classes;
-        Mark& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
-        best = later(best, mark, to.ppm);
-        if (least(gap(m), to.ppm) + w_.earliest(v, m) >= end) break;
-      }
-    }
+    for (std::int64_t n = 0; n < pattern / from.period; ++n)
+      late.each(static_cast<std::size_t>(n) % late.size(),
+                [&](const Least& l) { follow_one(u, v, n, l, latest, next); });
     return true;
+  }
+
+  /// From activation n of u, released by `so_far`.
+  void follow_one(int u, int v, std::int64_t n, const Least& so_far, Ticks latest, Late& next) {
+    const Component &from = w_.home(u), &to = w_.home(v);
+    const Ticks release = from.phi + n * from.period;
+    const Ticks end = due(u, n);
+    const auto classes = static_cast<std::int64_t>(next.size());
+    // The first that knows it with the least drift, up to the one that does with the most.
+    const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
+    const Ticks reach = floor_div(static_cast<__int128>(end - latest) * kMillion,
+                                  kMillion + (end > latest ? to.ppm : -to.ppm));
+    std::int64_t m = floor_div(static_cast<__int128>(release) + reach - to.phi, to.period) - 1;
+    while (most(gap(m), to.ppm) + w_.earliest(v, m) < end) ++m;
+    for (;; ++m) {
+      if (++work_ > kMaxWork) return;  // sample() says so
+      Least mark = so_far;
+      mark.kept.grid += gap(m);
+      mark.fresh.grid += gap(m);
+      const Fine latest_release =
+          value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm);
+      // That has no grid to go back on.
+      if (latest_release + 2 * fine_most(latest_, to.ppm) - 2 * fine(latest_) <
+          value(mark.fresh, to))
+        mark.fresh = {latest_release, 0};
+      const std::int64_t k = m % classes;
+      next.add(static_cast<std::size_t>(k < 0 ? k + classes : k), mark, to.ppm);
+      if (least(gap(m), to.ppm) + w_.earliest(v, m) >= end) break;
+    }
   }
 
   void any_phase(int u, int v, const Late& late, Late& next) const {
     Fine end = fine(kUnreached);
     for (std::size_t n = 0; n < late.size(); ++n)
-      if (late[n].reached())
-        end =
-            std::max(end, value(late[n], w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
+      late.each(n, [&](const Least& l) {
+        end = std::max(end, value(l, w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
+      });
     const Component& to = w_.home(v);
-    for (std::int64_t m = 0; m < to.classes; ++m)
-      next.push_back({end - fine(w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm), 0});
+    next = Late(static_cast<std::size_t>(to.classes));
+    for (std::int64_t m = 0; m < to.classes; ++m) {
+      const Mark mark{end - fine(w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm), 0};
+      next.add(static_cast<std::size_t>(m), {mark, mark}, to.ppm);
+    }
   }
 
   const World& w_;
