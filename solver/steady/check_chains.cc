@@ -4,9 +4,9 @@
 //   late[n]  the most real time from the nominal release of the source's message to the nominal
 //            release of that activation, where it is one of class n
 //
-// Two bounds of that are followed side by side, and the smaller one counts at the end. One keeps the way's place on
-// the clock since it came there: all that drifts is added before it drifts. The other one begins anew where the reader
-// before must have started too early: sooner at that sample, but who goes back on the clock later loses drift twice.
+// Of that several bounds are followed side by side, and the least counts at the end: each has kept the way's place on
+// the clock since another instant, and all that drifts since then is added before it drifts. One begins at each reader,
+// since the one before it was surely too early: sooner there, but who goes back on the clock later loses drift twice.
 //
 // From u of activation n to v, which samples it, on one clock: u ends by its key. v reads when it
 // starts, which is not before its release + e. So the first activation m of v with
@@ -59,17 +59,60 @@ bool covers(const Mark& a, const Mark& b, std::int64_t ppm) {
   return b.real + fine_most(b.grid - a.grid, ppm) <= a.real;
 }
 
-/// One instant that is at most each of both.
-struct Least {
-  Mark kept;   ///< its place since the way came to the clock
-  Mark fresh;  ///< since the last reader that was surely too early
-  [[nodiscard]] bool reached() const { return kept.reached(); }
-};
+/// One instant, which is at most each of some marks. None of them is always earlier than another one.
+class Instant {
+ public:
+  Instant() = default;
+  explicit Instant(const Mark& mark) : first_(mark) {}
 
-bool covers(const Least& a, const Least& b, std::int64_t ppm) {
-  return (covers(a.kept, b.kept, ppm) || covers(a.kept, b.fresh, ppm)) &&
-         (covers(a.fresh, b.kept, ppm) || covers(a.fresh, b.fresh, ppm));
-}
+  [[nodiscard]] bool reached() const { return first_.reached(); }
+
+  template <class Visit>
+  void each(const Visit& visit) const {
+    visit(first_);
+    for (const Mark& m : more_) visit(m);
+  }
+
+  /// The earliest, in a component of that drift.
+  [[nodiscard]] Mark least(std::int64_t ppm) const {
+    Mark best = first_;
+    for (const Mark& m : more_)
+      if (m.real + fine_most(m.grid, ppm) < best.real + fine_most(best.grid, ppm)) best = m;
+    return best;
+  }
+
+  /// At most `mark`, too. One more than can be kept is not.
+  void at_most(const Mark& mark, std::int64_t ppm) {
+    if (covers(mark, first_, ppm)) return;
+    if (std::ranges::any_of(more_, [&](const Mark& m) { return covers(mark, m, ppm); })) return;
+    std::erase_if(more_, [&](const Mark& m) { return covers(m, mark, ppm); });
+    if (covers(first_, mark, ppm))
+      first_ = mark;
+    else if (more_.size() < kMost)
+      more_.push_back(mark);
+  }
+
+  void go_on(Ticks gap) {
+    first_.grid += gap;
+    for (Mark& m : more_) m.grid += gap;
+  }
+
+  /// However far the grid goes on, `b` is not later than `a`.
+  friend bool covers(const Instant& a, const Instant& b, std::int64_t ppm) {
+    bool all = true;
+    a.each([&](const Mark& of_a) {
+      bool any = false;
+      b.each([&](const Mark& of_b) { any = any || covers(of_a, of_b, ppm); });
+      all = all && any;
+    });
+    return all;
+  }
+
+ private:
+  static constexpr std::size_t kMost = 7;
+  Mark first_;
+  std::vector<Mark> more_;
+};
 
 /// By class, the latest of some instants. Of most classes there is one; two of which neither covers the other
 /// would lose drift as one.
@@ -79,21 +122,21 @@ class Late {
 
   [[nodiscard]] std::size_t size() const { return first_.size(); }
 
-  void add(std::size_t n, const Least& instant, std::int64_t ppm) {
-    Least& first = first_[n];
+  void add(std::size_t n, const Instant& instant, std::int64_t ppm) {
+    Instant& first = first_[n];
     if (!first.reached() || covers(instant, first, ppm)) {
       first = instant;
       return;
     }
     if (covers(first, instant, ppm)) return;
     auto& more = more_[n];
-    if (std::ranges::any_of(more, [&](const Least& l) { return covers(l, instant, ppm); })) return;
-    std::erase_if(more, [&](const Least& l) { return covers(instant, l, ppm); });
+    if (std::ranges::any_of(more, [&](const Instant& l) { return covers(l, instant, ppm); }))
+      return;
+    std::erase_if(more, [&](const Instant& l) { return covers(instant, l, ppm); });
     if (more.size() < kMost)
       more.push_back(instant);
     else
-      more.back() = {later(more.back().kept, instant.kept, ppm),
-                     later(more.back().fresh, instant.fresh, ppm)};
+      more.back() = Instant(later(more.back().least(ppm), instant.least(ppm), ppm));
   }
 
   /// `visit` sees all of class n.
@@ -103,13 +146,13 @@ class Late {
     visit(first_[n]);
     const auto more = more_.find(n);
     if (more == more_.end()) return;
-    for (const Least& l : more->second) visit(l);
+    for (const Instant& l : more->second) visit(l);
   }
 
  private:
   static constexpr std::size_t kMost = 8;
-  std::vector<Least> first_;
-  std::unordered_map<std::size_t, std::vector<Least>> more_;
+  std::vector<Instant> first_;
+  std::unordered_map<std::size_t, std::vector<Instant>> more_;
 };
 
 class Walk {
@@ -120,8 +163,6 @@ class Walk {
     reads_.resize(w.app.xnodes.size());
     for (const auto& [u, v] : samples_) reads_[at(u)].push_back(v);
     visited_.assign(w.components.size(), 0);
-    for (const auto& windows : w.windows)
-      for (const Window& window : windows) latest_ = std::max(latest_, window.e);
     shortest_.resize(w.wcet.size());
     for (std::size_t i = 0; i < shortest_.size(); ++i) {
       Ticks least_us = kMaxTimeUs;
@@ -160,7 +201,7 @@ class Walk {
       first_ = static_cast<int>(c);
       Late begins(static_cast<std::size_t>(home.classes));
       const Mark begin{0, home.phi - offset};
-      for (std::size_t n = 0; n < begins.size(); ++n) begins.add(n, {begin, begin}, home.ppm);
+      for (std::size_t n = 0; n < begins.size(); ++n) begins.add(n, Instant(begin), home.ppm);
       XAUTO_TRY(visit(static_cast<int>(c), enters, begins, ends));
     }
     if (proof_.path.empty())
@@ -210,14 +251,14 @@ class Walk {
     return mark.real + fine_most(mark.grid, c.ppm);
   }
 
-  [[nodiscard]] static Fine value(const Least& instant, const Component& c) {
-    return std::min(value(instant.kept, c), value(instant.fresh, c));
+  [[nodiscard]] static Fine value(const Instant& instant, const Component& c) {
+    return value(instant.least(c.ppm), c);
   }
 
   void arrive(int c, const Late& late, Ticks bound) {
     bound_ = std::max(bound_, bound);
     for (std::size_t n = 0; n < late.size(); ++n)
-      late.each(n, [&](const Least& l) {
+      late.each(n, [&](const Instant& l) {
         const Ticks end = ceil_div(value(l, w_.components[at(c)]), kMillion) +
                           due(chain_.to, static_cast<std::int64_t>(n));
         if (!proof_.path.empty() && end <= worst_) return;
@@ -250,7 +291,7 @@ class Walk {
   [[nodiscard]] static Late of_own_classes(const Late& late, const Component& c) {
     Late own(static_cast<std::size_t>(c.classes));
     for (std::size_t n = 0; n < late.size(); ++n)
-      late.each(n, [&](const Least& l) { own.add(n % own.size(), l, c.ppm); });
+      late.each(n, [&](const Instant& l) { own.add(n % own.size(), l, c.ppm); });
     return own;
   }
 
@@ -267,12 +308,12 @@ class Walk {
     work_ += pattern / from.period;
     for (std::int64_t n = 0; n < pattern / from.period; ++n)
       late.each(static_cast<std::size_t>(n) % late.size(),
-                [&](const Least& l) { follow_one(u, v, n, l, latest, next); });
+                [&](const Instant& l) { follow_one(u, v, n, l, latest, next); });
     return true;
   }
 
   /// From activation n of u, released by `so_far`.
-  void follow_one(int u, int v, std::int64_t n, const Least& so_far, Ticks latest, Late& next) {
+  void follow_one(int u, int v, std::int64_t n, const Instant& so_far, Ticks latest, Late& next) {
     const Component &from = w_.home(u), &to = w_.home(v);
     const Ticks release = from.phi + n * from.period;
     const Ticks end = due(u, n);
@@ -285,17 +326,15 @@ class Walk {
     while (most(gap(m), to.ppm) + w_.earliest(v, m) < end) ++m;
     for (;; ++m) {
       if (++work_ > kMaxWork) return;  // sample() says so
-      Least mark = so_far;
-      mark.kept.grid += gap(m);
-      mark.fresh.grid += gap(m);
-      const Fine latest_release =
-          value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm);
-      // That has no grid to go back on.
-      if (latest_release + 2 * fine_most(latest_, to.ppm) - 2 * fine(latest_) <
-          value(mark.fresh, to))
-        mark.fresh = {latest_release, 0};
+      Instant then = so_far;
+      then.go_on(gap(m));
+      // The reader before was too early, so it began before the end. That has no grid to go back on.
+      then.at_most(
+          {value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm),
+           0},
+          to.ppm);
       const std::int64_t k = m % classes;
-      next.add(static_cast<std::size_t>(k < 0 ? k + classes : k), mark, to.ppm);
+      next.add(static_cast<std::size_t>(k < 0 ? k + classes : k), then, to.ppm);
       if (least(gap(m), to.ppm) + w_.earliest(v, m) >= end) break;
     }
   }
@@ -303,14 +342,14 @@ class Walk {
   void any_phase(int u, int v, const Late& late, Late& next) const {
     Fine end = fine(kUnreached);
     for (std::size_t n = 0; n < late.size(); ++n)
-      late.each(n, [&](const Least& l) {
+      late.each(n, [&](const Instant& l) {
         end = std::max(end, value(l, w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
       });
     const Component& to = w_.home(v);
     next = Late(static_cast<std::size_t>(to.classes));
     for (std::int64_t m = 0; m < to.classes; ++m) {
       const Mark mark{end - fine(w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm), 0};
-      next.add(static_cast<std::size_t>(m), {mark, mark}, to.ppm);
+      next.add(static_cast<std::size_t>(m), Instant(mark), to.ppm);
     }
   }
 
@@ -322,7 +361,6 @@ class Walk {
   std::vector<std::vector<int>> reads_;
   std::vector<char> visited_;
   std::vector<Ticks> shortest_;  ///< [xnode] least WCET
-  Ticks latest_ = 0;             ///< the largest e
   std::vector<std::string> path_;
   ChainProof proof_;
   Ticks worst_ = kUnreached, bound_ = 0;
