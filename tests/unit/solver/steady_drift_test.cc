@@ -117,6 +117,26 @@ TEST(SteadyDrift, OfAWayAlongABadClockCheckDerivesNoMore) {
   EXPECT_TRUE(report) << report.error().to_string();
 }
 
+/// Two windows of 400 us, of one clock. Whichever begins first ends first, however far the clock drifts: neither of both
+/// preempts, so neither pays. With 60 us for each, or for one, they would not fit.
+TEST(SteadyDrift, WindowsOfOneLengthDoNotPreemptEachOther) {
+  AppSpec app = named({{"main", 20'000}});
+  add(app, {"s0", {1000}}, 1, {100});
+  add(app, {"s1", {3000}}, 1, {250});
+  app.chains = {{"all", 0, 0, {}}};
+  Platform platform = cpus(1);
+  platform.xpus.front().preempt_us = 60;
+  KeyPolicy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.placements = {{0, {400}}, {0, {1400}, {1000}}};
+  policy.chains = {{"all", 400, 0, false}};
+  const auto report = check(app, platform, policy);
+  EXPECT_TRUE(report) << report.error().to_string();
+  policy.placements[1].key_us = {1401};  // now the first one may preempt the second
+  EXPECT_FALSE(check(app, platform, policy));
+}
+
 /// To and fro between two rates of a clock that is planned in groups. The solver follows the way back into a group from
 /// that group's first visit on; so does check, though the latest start at the visit in between is sooner there.
 TEST(SteadyDrift, AWayBackIntoAGroupIsCountedFromItsFirstVisitOn) {
