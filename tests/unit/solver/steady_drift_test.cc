@@ -110,7 +110,7 @@ TEST(SteadyDrift, AHoldThatNobodyWaitsForCostsNoChain) {
 
 TEST(SteadyDrift, OfAWayAlongABadClockCheckDerivesNoMore) {
   Options options;
-  options.max_evaluations = 30;
+  options.max_evaluations = 5;
   const auto answer = solve(in_a_row(), cpus(6), options);
   ASSERT_TRUE(answer && answer->outcome == Outcome::kPolicy);
   const auto report = check(in_a_row(), cpus(6), answer->policy);
@@ -137,7 +137,7 @@ TEST(SteadyDrift, WindowsOfOneLengthDoNotPreemptEachOther) {
   EXPECT_FALSE(check(app, platform, policy));
 }
 
-/// To and fro between two rates of a clock that is planned in groups. The solver follows the way back into a group from
+/// Back and forth between two rates of a clock that is planned in groups. The solver follows the way back into a group from
 /// that group's first visit on; so does check, though the latest start at the visit in between is sooner there.
 TEST(SteadyDrift, AWayBackIntoAGroupIsCountedFromItsFirstVisitOn) {
   AppSpec app = named({{"main", 50'000}});
@@ -164,7 +164,7 @@ TEST(SteadyDrift, AWayBackIntoAGroupIsCountedFromItsFirstVisitOn) {
 
 constexpr std::int64_t kPpms[] = {0, 100, 20'000, 100'000};
 
-/// Components of two or three rates in a row by samples, mostly of one clock: its ways go to and fro. Often a rate more
+/// Components of two or three rates in a row by samples, mostly of one clock: its ways go back and forth. Often a rate more
 /// that meets the others late, so that the clock is planned in groups.
 AppSpec random_row(solver::test::Dice& dice, int xpus) {
   AppSpec app = named({{"main", kPpms[dice.roll(0, 3)]}, {"other", kPpms[dice.roll(0, 3)]}});
