@@ -70,6 +70,7 @@ struct Way {
   Holds hold;
   Tick sooner = 0;              ///< keys of the first component, where its release is urgent
   std::vector<Tick> most_hold;  ///< [sample of the way] of its reader
+  Tick latest = 0;              ///< earliest start
   /// What is the same whenever its reader, of another domain, is reached.
   struct Crossing {
     Tick left = kNoTick;  ///< what is left behind it, at any phase; kNoTick: not known yet
@@ -100,7 +101,8 @@ struct Way {
   struct Origin {
     const Component* component;
     std::int64_t k;
-    Tick after;  ///< real time from the way's beginning
+    Tick after;           ///< real time from the way's beginning
+    std::size_t samples;  ///< of the way, that had been passed
   };
 
   /// `samples[next..]` is left, from the release k of the component of `v` on. That was at most
@@ -156,7 +158,7 @@ struct Way {
     for (int n = 0; n < cv.jobs && worst < enough; ++n) {
       --returns;
       const Tick read = ends + apart - hold(v, n - 1);
-      origins.push_back({&cv, n, read});
+      origins.push_back({&cv, n, read, next + 1});
       worst = std::max(worst, from(next + 1, n, 0, read, origins));
       origins.resize(known);
     }
@@ -173,8 +175,14 @@ struct Way {
       const Origin origin = origins[o];
       if (p.domains[at(origin.component->domain)].clock != p.domains[at(cv.domain)].clock) break;
       if (origin.component->domain != cv.domain || !followed(next, v)) continue;
-      const std::int64_t n = first_reader(p, *origin.component, origin.k, ends - origin.after, v,
-                                          hold, most_hold[next]);
+      // `check` goes from reader to reader on the grid. Where one begins before what it reads is released, it goes
+      // back, and what drifts is twice in doubt there.
+      const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
+      const Tick doubt = ppm == 0 ? 0
+                                  : static_cast<Tick>(next + 1 - origin.samples) * 2 *
+                                        (in_slow_time(latest, ppm) - latest);
+      const std::int64_t n = first_reader(p, *origin.component, origin.k,
+                                          ends - origin.after + doubt, v, hold, most_hold[next]);
       const Tick since =
           cv.phase + n * cv.period - origin.component->phase - origin.k * origin.component->period;
       // By how much that is after what began since `origin` is not known any more: the sooner one of
@@ -214,7 +222,10 @@ Tick least_distance(Tick length, std::int64_t ppm) {
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w,
                 bool urgent) {
   const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
-  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, urgent ? c.urgent_by : 0, {}, {}};
+  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, urgent ? c.urgent_by : 0, {}, 0, {}};
+  if (!w.e.empty() &&
+      std::ranges::any_of(p.domains, [](const Domain& d) { return d.ppm > 0 && d.part; }))
+    way.latest = *std::max_element(w.e.begin(), w.e.end());
   way.crossings.resize(path.samples.size());
   for (const int s : path.samples) {
     const int v = p.samples[at(s)].second;
@@ -225,22 +236,14 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
   std::vector<Way::Origin> origins;
   for (int k = 0; k < c.jobs; ++k) {
     const Tick before = longest(c.phase - chain.offset, p.domains[at(c.domain)].ppm);
-    origins.assign(1, {&c, k, before});
+    origins.assign(1, {&c, k, before, 0});
     worst = std::max(worst, way.from(0, k, 0, before, origins));
   }
-  // A check may round what drifts once more at each sample. Between groups of a clock it keeps a release's place on
-  // the clock, also where any phase would be sooner by what the latest start drifts, twice.
-  Tick latest = -1;
-  for (const int s : path.samples) {
-    const auto& [u, v] = p.samples[at(s)];
-    const Domain &from = p.domains[at(p.domain_of(u))], &to = p.domains[at(p.domain_of(v))];
-    if (to.ppm == 0) continue;
-    ++worst;
-    if (&from == &to || from.clock != to.clock) continue;
-    if (latest < 0) latest = *std::max_element(w.e.begin(), w.e.end());
-    worst += 2 * (in_slow_time(latest, to.ppm) - latest);
-  }
-  return worst;
+  // A check may round what drifts once more at each sample.
+  const auto drifts = [&](int s) {
+    return p.domains[at(p.domain_of(p.samples[at(s)].second))].ppm > 0;
+  };
+  return worst + std::count_if(path.samples.begin(), path.samples.end(), drifts);
 }
 
 Tick worst_case(const Problem& p, const Chain& chain, const Windows& w, bool urgent) {

@@ -4,6 +4,10 @@
 //   late[n]  the most real time from the nominal release of the source's message to the nominal
 //            release of that activation, where it is one of class n
 //
+// Of that several bounds are followed side by side, and the least counts at the end: each has kept the way's place on
+// the clock since another instant, and all that drifts since then is added before it drifts. One begins at each reader,
+// since the one before it was surely too early: sooner there, but who goes back on the clock later loses drift twice.
+//
 // From u of activation n to v, which samples it, on one clock: u ends by its key. v reads when it
 // starts, which is not before its release + e. So the first activation m of v with
 // (release m) + e_m >= (release n) + d_u knows it. On another clock, or where the phases repeat too
@@ -14,7 +18,9 @@
 #include <algorithm>
 #include <numeric>
 #include <set>
+#include <unordered_map>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -40,16 +46,114 @@ struct Mark {
   Ticks grid = 0;
   [[nodiscard]] bool reached() const { return real > fine(kUnreached); }
 };
-using Late = std::vector<Mark>;
 
 /// What is at least as late as each, however far the grid goes on: most(x + y) <= most(x) + most(y). The
 /// grid of the later one stays, since who goes back on it takes drift off again.
 Mark later(Mark a, Mark b, std::int64_t ppm) {
-  if (!a.reached()) return b;
-  if (!b.reached()) return a;
   if (a.real + fine_most(a.grid, ppm) < b.real + fine_most(b.grid, ppm)) std::swap(a, b);
   return {std::max(a.real, b.real + fine_most(b.grid - a.grid, ppm)), a.grid};
 }
+
+/// However far the grid goes on, `b` is not later.
+bool covers(const Mark& a, const Mark& b, std::int64_t ppm) {
+  return b.real + fine_most(b.grid - a.grid, ppm) <= a.real;
+}
+
+/// One instant, which is at most each of some marks. None of them is always earlier than another one.
+class Instant {
+ public:
+  Instant() = default;
+  explicit Instant(const Mark& mark) : first_(mark) {}
+
+  [[nodiscard]] bool reached() const { return first_.reached(); }
+
+  template <class Visit>
+  void each(const Visit& visit) const {
+    visit(first_);
+    for (const Mark& m : more_) visit(m);
+  }
+
+  /// The earliest, in a component of that drift.
+  [[nodiscard]] Mark least(std::int64_t ppm) const {
+    Mark best = first_;
+    for (const Mark& m : more_)
+      if (m.real + fine_most(m.grid, ppm) < best.real + fine_most(best.grid, ppm)) best = m;
+    return best;
+  }
+
+  /// At most `mark`, too. One more than can be kept is not.
+  void at_most(const Mark& mark, std::int64_t ppm) {
+    if (covers(mark, first_, ppm)) return;
+    if (std::ranges::any_of(more_, [&](const Mark& m) { return covers(mark, m, ppm); })) return;
+    std::erase_if(more_, [&](const Mark& m) { return covers(m, mark, ppm); });
+    if (covers(first_, mark, ppm))
+      first_ = mark;
+    else if (more_.size() < kMost)
+      more_.push_back(mark);
+  }
+
+  void go_on(Ticks gap) {
+    first_.grid += gap;
+    for (Mark& m : more_) m.grid += gap;
+  }
+
+  /// However far the grid goes on, `b` is not later than `a`.
+  friend bool covers(const Instant& a, const Instant& b, std::int64_t ppm) {
+    bool all = true;
+    a.each([&](const Mark& of_a) {
+      bool any = false;
+      b.each([&](const Mark& of_b) { any = any || covers(of_a, of_b, ppm); });
+      all = all && any;
+    });
+    return all;
+  }
+
+ private:
+  static constexpr std::size_t kMost = 7;
+  Mark first_;
+  std::vector<Mark> more_;
+};
+
+/// By class, the latest of some instants. Of most classes there is one; two of which neither covers the other
+/// would lose drift as one.
+class Late {
+ public:
+  explicit Late(std::size_t classes = 0) : first_(classes) {}
+
+  [[nodiscard]] std::size_t size() const { return first_.size(); }
+
+  void add(std::size_t n, const Instant& instant, std::int64_t ppm) {
+    Instant& first = first_[n];
+    if (!first.reached() || covers(instant, first, ppm)) {
+      first = instant;
+      return;
+    }
+    if (covers(first, instant, ppm)) return;
+    auto& more = more_[n];
+    if (std::ranges::any_of(more, [&](const Instant& l) { return covers(l, instant, ppm); }))
+      return;
+    std::erase_if(more, [&](const Instant& l) { return covers(instant, l, ppm); });
+    if (more.size() < kMost)
+      more.push_back(instant);
+    else
+      more.back() = Instant(later(more.back().least(ppm), instant.least(ppm), ppm));
+  }
+
+  /// `visit` sees all of class n.
+  template <class Visit>
+  void each(std::size_t n, const Visit& visit) const {
+    if (!first_[n].reached()) return;
+    visit(first_[n]);
+    const auto more = more_.find(n);
+    if (more == more_.end()) return;
+    for (const Instant& l : more->second) visit(l);
+  }
+
+ private:
+  static constexpr std::size_t kMost = 8;
+  std::vector<Instant> first_;
+  std::unordered_map<std::size_t, std::vector<Instant>> more_;
+};
 
 class Walk {
  public:
@@ -59,8 +163,6 @@ class Walk {
     reads_.resize(w.app.xnodes.size());
     for (const auto& [u, v] : samples_) reads_[at(u)].push_back(v);
     visited_.assign(w.components.size(), 0);
-    for (const auto& windows : w.windows)
-      for (const Window& window : windows) latest_ = std::max(latest_, window.e);
     shortest_.resize(w.wcet.size());
     for (std::size_t i = 0; i < shortest_.size(); ++i) {
       Ticks least_us = kMaxTimeUs;
@@ -97,9 +199,10 @@ class Walk {
       for (Ticks& end : ends) end -= offset;
       path_ = {source.name};
       first_ = static_cast<int>(c);
-      XAUTO_TRY(visit(static_cast<int>(c), enters,
-                      Late(static_cast<std::size_t>(home.classes), Mark{0, home.phi - offset}),
-                      ends));
+      Late begins(static_cast<std::size_t>(home.classes));
+      const Mark begin{0, home.phi - offset};
+      for (std::size_t n = 0; n < begins.size(); ++n) begins.add(n, Instant(begin), home.ppm);
+      XAUTO_TRY(visit(static_cast<int>(c), enters, begins, ends));
     }
     if (proof_.path.empty())
       return fail(ErrorCode::kInvalid,
@@ -148,17 +251,21 @@ class Walk {
     return mark.real + fine_most(mark.grid, c.ppm);
   }
 
+  [[nodiscard]] static Fine value(const Instant& instant, const Component& c) {
+    return value(instant.least(c.ppm), c);
+  }
+
   void arrive(int c, const Late& late, Ticks bound) {
     bound_ = std::max(bound_, bound);
-    for (std::size_t n = 0; n < late.size(); ++n) {
-      if (!late[n].reached()) continue;
-      const Ticks end = ceil_div(value(late[n], w_.components[at(c)]), kMillion) +
-                        due(chain_.to, static_cast<std::int64_t>(n));
-      if (!proof_.path.empty() && end <= worst_) continue;
-      worst_ = end;
-      proof_.path = path_;
-      proof_.path.push_back(w_.name(chain_.to));
-    }
+    for (std::size_t n = 0; n < late.size(); ++n)
+      late.each(n, [&](const Instant& l) {
+        const Ticks end = ceil_div(value(l, w_.components[at(c)]), kMillion) +
+                          due(chain_.to, static_cast<std::int64_t>(n));
+        if (!proof_.path.empty() && end <= worst_) return;
+        worst_ = end;
+        proof_.path = path_;
+        proof_.path.push_back(w_.name(chain_.to));
+      });
   }
 
   Status sample(int u, int v, const Late& late, Ticks bound) {
@@ -184,7 +291,7 @@ class Walk {
   [[nodiscard]] static Late of_own_classes(const Late& late, const Component& c) {
     Late own(static_cast<std::size_t>(c.classes));
     for (std::size_t n = 0; n < late.size(); ++n)
-      own[n % own.size()] = later(own[n % own.size()], late[n], c.ppm);
+      late.each(n, [&](const Instant& l) { own.add(n % own.size(), l, c.ppm); });
     return own;
   }
 
@@ -196,46 +303,54 @@ class Walk {
         pattern / to.period > static_cast<Ticks>(kMaxClasses))
       return false;
     const Ticks classes = pattern / to.period;
-    next.assign(static_cast<std::size_t>(classes), Mark{});
+    next = Late(static_cast<std::size_t>(classes));
     const Ticks latest = std::ranges::max(w_.windows[at(v)], {}, &Window::e).e;
     work_ += pattern / from.period;
-    for (std::int64_t n = 0; n < pattern / from.period; ++n) {
-      const Mark& so_far = late[static_cast<std::size_t>(n) % late.size()];
-      if (!so_far.reached()) continue;
-      const Ticks release = from.phi + n * from.period;
-      const Ticks end = due(u, n);
-      // The first that knows it with the least drift, up to the one that does with the most.
-      const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
-      const Ticks reach = floor_div(static_cast<__int128>(end - latest) * kMillion,
-                                    kMillion + (end > latest ? to.ppm : -to.ppm));
-      std::int64_t m = floor_div(static_cast<__int128>(release) + reach - to.phi, to.period) - 1;
-      while (most(gap(m), to.ppm) + w_.earliest(v, m) < end) ++m;
-      for (;; ++m) {
-        if (++work_ > kMaxWork) return true;  // sample() says so
-        Mark mark{so_far.real, so_far.grid + gap(m)};
-        const Fine latest_release =
-            value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm);
-        // That has no grid to go back on.
-        if (latest_release + 2 * fine_most(latest_, to.ppm) - 2 * fine(latest_) < value(mark, to))
-          mark = {latest_release, 0};
-        const std::int64_t k = m % classes;
-        Mark& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
-        best = later(best, mark, to.ppm);
-        if (least(gap(m), to.ppm) + w_.earliest(v, m) >= end) break;
-      }
-    }
+    for (std::int64_t n = 0; n < pattern / from.period; ++n)
+      late.each(static_cast<std::size_t>(n) % late.size(),
+                [&](const Instant& l) { follow_one(u, v, n, l, latest, next); });
     return true;
+  }
+
+  /// From activation n of u, released by `so_far`.
+  void follow_one(int u, int v, std::int64_t n, const Instant& so_far, Ticks latest, Late& next) {
+    const Component &from = w_.home(u), &to = w_.home(v);
+    const Ticks release = from.phi + n * from.period;
+    const Ticks end = due(u, n);
+    const auto classes = static_cast<std::int64_t>(next.size());
+    // The first that knows it with the least drift, up to the one that does with the most.
+    const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
+    const Ticks reach = floor_div(static_cast<__int128>(end - latest) * kMillion,
+                                  kMillion + (end > latest ? to.ppm : -to.ppm));
+    std::int64_t m = floor_div(static_cast<__int128>(release) + reach - to.phi, to.period) - 1;
+    while (most(gap(m), to.ppm) + w_.earliest(v, m) < end) ++m;
+    for (;; ++m) {
+      if (++work_ > kMaxWork) return;  // sample() says so
+      Instant then = so_far;
+      then.go_on(gap(m));
+      // The reader before was too early, so it began before the end. That has no grid to go back on.
+      then.at_most(
+          {value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm),
+           0},
+          to.ppm);
+      const std::int64_t k = m % classes;
+      next.add(static_cast<std::size_t>(k < 0 ? k + classes : k), then, to.ppm);
+      if (least(gap(m), to.ppm) + w_.earliest(v, m) >= end) break;
+    }
   }
 
   void any_phase(int u, int v, const Late& late, Late& next) const {
     Fine end = fine(kUnreached);
     for (std::size_t n = 0; n < late.size(); ++n)
-      if (late[n].reached())
-        end =
-            std::max(end, value(late[n], w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
+      late.each(n, [&](const Instant& l) {
+        end = std::max(end, value(l, w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
+      });
     const Component& to = w_.home(v);
-    for (std::int64_t m = 0; m < to.classes; ++m)
-      next.push_back({end - fine(w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm), 0});
+    next = Late(static_cast<std::size_t>(to.classes));
+    for (std::int64_t m = 0; m < to.classes; ++m) {
+      const Mark mark{end - fine(w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm), 0};
+      next.add(static_cast<std::size_t>(m), Instant(mark), to.ppm);
+    }
   }
 
   const World& w_;
@@ -246,7 +361,6 @@ class Walk {
   std::vector<std::vector<int>> reads_;
   std::vector<char> visited_;
   std::vector<Ticks> shortest_;  ///< [xnode] least WCET
-  Ticks latest_ = 0;             ///< the largest e
   std::vector<std::string> path_;
   ChainProof proof_;
   Ticks worst_ = kUnreached, bound_ = 0;

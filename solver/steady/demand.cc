@@ -129,22 +129,19 @@ void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const V
   }
 }
 
-/// By when all that arrives meanwhile has been served, or kNoTick: not within `horizon`.
-Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick horizon) {
-  Tick end = kNoTick, sum_before = blocked;
+/// By when all that arrives meanwhile has been served, or kNoTick: not within `known`. Up to there the curves
+/// are whole: beyond, a pattern whose clock drifts may have more than has been laid out.
+Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick known) {
+  Tick sum_before = blocked;
   bool first = true;
   walk(all, &Curves::arrived, [&](Tick length, Tick sum, const std::vector<Tick>& /*each*/) {
     // Until this step the sum was `sum_before`.
-    if (!first && sum_before <= length) {
-      end = std::max(sum_before, Tick{0});
-      return false;
-    }
+    if (!first && sum_before <= length) return false;
     first = length <= 0;  // everything that arrives at once
     sum_before = sum + blocked;
     return true;
   });
-  if (end == kNoTick && sum_before <= horizon) end = sum_before;
-  return end;
+  return sum_before <= known ? std::max(sum_before, Tick{0}) : kNoTick;
 }
 
 }  // namespace
