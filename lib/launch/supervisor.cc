@@ -227,6 +227,7 @@ class Supervisor {
       }
     }
     process.noticed = true;
+    outcome_.gone.push_back(note);
     outcome_.notes.push_back(note);
     // Not connected yet: nobody else would tell the hub.
     if (const auto socket = connect_abstract(request_.session.hub)) {

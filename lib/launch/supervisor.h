@@ -66,7 +66,9 @@ struct Outcome {
   std::vector<std::string> notes;  ///< what died or was done differently, for people
   std::string real_cpus;           ///< cpu_keeper()
   bool emulator_died = false;
-  std::uint64_t deaths = 0;               ///< of daemons and modules' processes, before their time
+  std::uint64_t deaths = 0;  ///< of daemons and modules' processes, before their time
+  std::vector<std::string>
+      gone;  ///< modules' processes that died and were not started again, a line each
   std::vector<std::string> dead_daemons;  ///< which of these were daemons, a line each
   std::int64_t coordinators_cpu_us = 0;   ///< CPU time of all coordinators together
   double wall_s = 0;                      ///< of the app

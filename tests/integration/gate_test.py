@@ -3,6 +3,7 @@
 """`xauto run --fail-on`: each word trips on what it names, and on nothing else."""
 import json
 import os
+import pathlib
 import signal
 import subprocess
 import tempfile
@@ -99,11 +100,33 @@ class Gate(unittest.TestCase):
         self.assertEqual((done.returncode, run["fail_on"]), (1, {"claim": 1}), done.stderr)
         self.assertIn("--fail-on claim: 1 ", done.stderr)
 
-    def test_a_policy_of_another_platform(self):
-        """A GPU that does not preempt: blocking counts, and the policy does not know it."""
-        app, policy, platform = SOURCE / "examples/driving/steady.json", f"{self.folder}/s.json", f"{self.folder}/p.json"
+    def steady(self):
+        app, policy = SOURCE / "examples/driving/steady.json", f"{self.folder}/s.json"
         made = xauto("solve", "--app", app, "--platform", "small", "--time-limit-s", "1", "--out", policy)
         self.assertEqual(made.returncode, 0, made.stderr)
+        return app, policy
+
+    def test_a_process_that_is_gone_for_good(self):
+        """With several rates lost activations make no status 1; who loses all from now on does."""
+        app, policy = self.steady()
+        tool = subprocess.Popen([XAUTO, "run", "--app", app, "--platform", "small", "--policy", policy, "--emulate",
+                                 "--isolate", "--json", "--", BIN / "driving-steady"],
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(tool.kill)
+        wait_for("results", lambda: min(activations(tool).values(), default=0) > 2, tool)
+        member = next(pid for pid in children_of(tool.pid)
+                      if b"XAUTO_PROCESS=" in pathlib.Path(f"/proc/{pid}/environ").read_bytes())
+        os.kill(member, signal.SIGKILL)
+        wait_for("its end", lambda: member not in children_of(tool.pid), tool)
+        tool.terminate()
+        _, err = tool.communicate(timeout=60)
+        self.assertEqual(tool.returncode, 1, err)
+        self.assertRegex(err, r"error: run s: the process of \S+ died \(signal SIGKILL\), and nothing took its place")
+
+    def test_a_policy_of_another_platform(self):
+        """A GPU that does not preempt: blocking counts, and the policy does not know it."""
+        platform = f"{self.folder}/p.json"
+        app, policy = self.steady()
         hardware = json.loads((SOURCE / "tests/golden/platform.json").read_text())
         with open(policy) as f:
             xpus = {x["xpu"] for x in json.load(f)["xnodes"]}

@@ -253,6 +253,8 @@ std::vector<Error> complaints(const PolicyRun& run) {
   }
   for (const std::string& xpu : run.report.lost_coordinators)
     add("the jobs of " + xpu + " went on unscheduled, as its coordinator was gone");
+  for (const std::string& gone : run.outcome.gone)
+    add(gone + ", and nothing took its place", "the deployment's `restarts` has it started again");
   if (run.outcome.emulator_died) add("the emulated XPUs are gone");
   return found;
 }
