@@ -280,17 +280,13 @@ class Team {
           own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
           break;
         }
-        case Space::kTabu: {
-          if (!tabu) tabu.emplace(problem_, seed);
-          Solution start = own_ordered;
-          if (own.makespan < start.makespan) start = in_order(own);
-          Solution found = tabu->run(start, mine, callbacks);
-          if (found.makespan < own_ordered.makespan) own_ordered = std::move(found);
-          break;
-        }
+        case Space::kTabu:
         case Space::kStretches: {
+          if (space == Space::kTabu && !tabu) tabu.emplace(problem_, seed);
           const Solution start = own.makespan < own_ordered.makespan ? in_order(own) : own_ordered;
-          Solution found = anneal_stretches(problem_, start, seed, mine, callbacks);
+          Solution found = space == Space::kTabu
+                               ? tabu->run(start, mine, callbacks)
+                               : anneal_stretches(problem_, start, seed, mine, callbacks);
           if (found.makespan < own_ordered.makespan) own_ordered = std::move(found);
           break;
         }

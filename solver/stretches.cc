@@ -26,34 +26,14 @@ void append_rows(std::vector<T>& to, const std::vector<T>& table, std::size_t ro
 
 }  // namespace
 
-Times timed(const Problem& problem, Solution& schedule) {
-  const std::size_t n = at(problem.num_xnodes), m = at(problem.num_xpus);
-  Times times;
-  times.start.assign(n, 0);
-  times.finish.assign(n, 0);
-  times.tail.assign(n, 0);
-  std::vector<Time> free_at(m, 0), after(m, 0);
-  schedule.makespan = 0;
-  for (const int xnode : schedule.sequence) {
-    const std::size_t i = at(xnode), x = at(schedule.xpu[i]);
-    Time begin = free_at[x];
-    for (int p : problem.pred[i]) begin = std::max(begin, times.finish[at(p)]);
-    times.start[i] = begin;
-    times.finish[i] = free_at[x] = begin + problem.wcet_on(xnode, schedule.xpu[i]);
-    schedule.makespan = std::max(schedule.makespan, times.finish[i]);
-  }
+void follow(DisjunctiveGraph& graph, Solution& schedule) {
+  graph.reset(schedule.xpu, schedule.sequence);
+  schedule.makespan = graph.makespan();
   std::stable_sort(schedule.sequence.begin(), schedule.sequence.end(),
-                   [&](int a, int b) { return times.start[at(a)] < times.start[at(b)]; });
-  for (std::size_t k = n; k-- > 0;) {
-    const std::size_t i = at(schedule.sequence[k]), x = at(schedule.xpu[i]);
-    times.tail[i] = std::max(times.tail[i], after[x]);
-    after[x] = times.tail[i] + times.finish[i] - times.start[i];
-    for (int p : problem.pred[i]) times.tail[at(p)] = std::max(times.tail[at(p)], after[x]);
-  }
-  return times;
+                   [&](int a, int b) { return graph.head(a) < graph.head(b); });
 }
 
-Stretch stretch_of(const Problem& problem, const Solution& schedule, const Times& times,
+Stretch stretch_of(const Problem& problem, const DisjunctiveGraph& graph, const Solution& schedule,
                    std::size_t first, std::size_t length) {
   const std::size_t n = at(problem.num_xnodes), m = at(problem.num_xpus),
                     types = at(problem.num_types), end = first + length;
@@ -77,13 +57,10 @@ Stretch stretch_of(const Problem& problem, const Solution& schedule, const Times
 
   // Temperatures are shares of a makespan. So time counts from the first start of the stretch, and
   // up to where its least tail begins.
-  const Time from = times.start[at(members.front())];
-  Time least_tail = times.tail[at(members.front())];
-  for (int i : members) least_tail = std::min(least_tail, times.tail[at(i)]);
+  const Time from = graph.head(members.front());
+  Time least_tail = graph.tail(members.front());
+  for (int i : members) least_tail = std::min(least_tail, graph.tail(i));
   stretch.outside = from + least_tail;
-  const auto behind_start = [&](std::size_t i) {
-    return times.finish[i] - times.start[i] + times.tail[i] - least_tail;
-  };
   Surroundings& around = stretch.around;
   around.released.assign(length, -from);
   around.behind.assign(length, -least_tail);
@@ -100,23 +77,19 @@ Stretch stretch_of(const Problem& problem, const Solution& schedule, const Times
       if (place[at(p)] >= 0)
         part.pred[k].push_back(place[at(p)]);
       else
-        around.released[k] = std::max(around.released[k], times.finish[at(p)] - from);
+        around.released[k] = std::max(around.released[k], graph.done(p) - from);
     }
     for (int s : problem.succ[i]) {
       if (place[at(s)] >= 0)
         part.succ[k].push_back(place[at(s)]);
       else
-        around.behind[k] = std::max(around.behind[k], behind_start(at(s)));
+        around.behind[k] = std::max(around.behind[k], graph.left(s) - least_tail);
     }
   }
-  for (std::size_t k = 0; k < first; ++k) {
-    const std::size_t i = at(sequence[k]);
-    around.free_at[at(schedule.xpu[i])] = times.finish[i] - from;
-  }
-  for (std::size_t k = n; k-- > end;) {
-    const std::size_t i = at(sequence[k]);
-    around.after[at(schedule.xpu[i])] = behind_start(i);
-  }
+  for (std::size_t k = 0; k < first; ++k)
+    around.free_at[at(schedule.xpu[at(sequence[k])])] = graph.done(sequence[k]) - from;
+  for (std::size_t k = n; k-- > end;)
+    around.after[at(schedule.xpu[at(sequence[k])])] = graph.left(sequence[k]) - least_tail;
   return stretch;
 }
 
@@ -129,7 +102,8 @@ Solution anneal_stretches(const Problem& problem, const Solution& start, std::ui
   const std::size_t n = at(problem.num_xnodes);
   Random random(seed);
   Solution best = start;
-  Times times = timed(problem, best);
+  DisjunctiveGraph graph(problem);
+  follow(graph, best);
   if (callbacks.on_better) callbacks.on_better(best);
   std::int64_t evaluations = 0;
   SearchCallbacks counting;
@@ -148,7 +122,7 @@ Solution anneal_stretches(const Problem& problem, const Solution& start, std::ui
     // Half a stretch may lie beside the schedule: its ends are met as often as its middle.
     const std::size_t drawn = random.below(n + length);
     const std::size_t first = std::min(drawn - std::min(drawn, length / 2), n - length);
-    const Stretch stretch = stretch_of(problem, best, times, first, length);
+    const Stretch stretch = stretch_of(problem, graph, best, first, length);
     StopWhen mine = stop_when;
     mine.target = nullptr;
     mine.effort = 0;
@@ -164,7 +138,7 @@ Solution anneal_stretches(const Problem& problem, const Solution& start, std::ui
       best.sequence[first + k] = stretch.members[at(found.sequence[k])];
     }
     const Time was = best.makespan;
-    times = timed(problem, best);
+    follow(graph, best);
     if (best.makespan < was && callbacks.on_better) callbacks.on_better(best);
   }
   return best;

@@ -4,9 +4,9 @@
 // behind it stays.
 //
 // What stays gives each XNode of the stretch a release and a tail, each XPU an instant from which
-// it is free and a time that it needs behind its last one. With these the makespan of the whole
-// schedule follows from the stretch alone, exactly (docs/solver.md, "Stretches"). So a candidate
-// costs some tens of XNodes in place of all, and each stretch cools down like a small app.
+// it is free and a time that it needs behind its last one. With these the longest path through the
+// stretch is known exactly, and those beside it do not change (docs/solver.md, "Stretches"). So a
+// candidate costs some tens of XNodes in place of all, and each stretch cools down like a small app.
 //
 // Only for the makespan alone, without groups. Threads: one owner. Deterministic like anneal().
 // Units: microseconds.
@@ -15,19 +15,15 @@
 #include <cstddef>
 #include <vector>
 
+#include "solver/disjunctive.h"
 #include "solver/ordered.h"
 #include "solver/problem.h"
 #include "solver/search.h"
 
 namespace xauto::solver {
 
-/// Starts, ends and tails (from its end to that of all) of the XNodes of an ordered schedule.
-struct Times {
-  std::vector<Time> start, finish, tail;  ///< [xnode]
-};
-
-/// Sorts the sequence of `schedule` by start, and sets its makespan.
-[[nodiscard]] Times timed(const Problem& problem, Solution& schedule);
+/// `graph` becomes that of `schedule`, which gets its makespan and its sequence by start.
+void follow(DisjunctiveGraph& graph, Solution& schedule);
 
 /// Some XNodes of a schedule as a problem of their own.
 struct Stretch {
@@ -39,9 +35,9 @@ struct Stretch {
       0;  ///< the whole's makespan is the part's and this, if no path beside it is longer
 };
 
-/// Those at the places `first` to `first + length - 1` of `schedule`, as timed() has left it.
-[[nodiscard]] Stretch stretch_of(const Problem& problem, const Solution& schedule,
-                                 const Times& times, std::size_t first, std::size_t length);
+/// Those at the places `first` to `first + length - 1` of `schedule`, as follow() has left both.
+[[nodiscard]] Stretch stretch_of(const Problem& problem, const DisjunctiveGraph& graph,
+                                 const Solution& schedule, std::size_t first, std::size_t length);
 
 [[nodiscard]] bool stretches_serve(const Problem& problem);
 

@@ -50,12 +50,13 @@ Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
 void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
   if (run.scheduling != runtime::Scheduling::kXAuto) return;
   const auto checked = solver::steady::check(flags.app, flags.spec, *run.keys);
-  // What takes too long to derive is not said to be false.
-  if (checked || checked.error().code == ErrorCode::kUnavailable) return;
+  // What takes too long to derive, or makes no sense to check, is not refused by it.
+  if (checked || checked.error().code != ErrorCode::kInfeasible) return;
   run.untrue = checked.error().what;
   log::warn(
-      "{}: its worst cases are not true here: {} (`xauto check` derives them; `xauto solve` "
-      "makes a policy for this app and platform)",
+      "{}: `xauto check` does not derive its worst cases here: {} (`xauto solve` makes a policy "
+      "for "
+      "this app and platform)",
       flags.policy_path, checked.error().to_string());
 }
 

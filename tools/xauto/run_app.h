@@ -88,7 +88,7 @@ struct PolicyRun {
   /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
   std::optional<Tables> tables;
   std::string
-      untrue;  ///< why `keys` does not keep what it claims here (`xauto check`); empty: not known
+      untrue;  ///< why `xauto check` refuses `keys` here; empty: not known
   solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
   // Filled in by `execute`.
   runtime::RunReport report;

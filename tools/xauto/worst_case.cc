@@ -100,7 +100,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   KeyClaims claims;
   claims.broken = run.report.unkept;
   if (!run.untrue.empty())
-    claims.broken.push_back("the policy does not keep them (xauto check): " + run.untrue);
+    claims.broken.push_back("`xauto check` does not derive them: " + run.untrue);
   claims.broken.insert(claims.broken.end(), run.report.broken.begin(), run.report.broken.end());
   std::uint64_t lost = 0;
   for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;

@@ -136,8 +136,8 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   EXPECT_EQ(r.urgent_us.exact(), std::vector<std::int64_t>{90}) << "the release that was urgent";
 }
 
-/// A run that gave up at 2000 us, where the lidar was released last at 1900, and the camera so long.
-TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
+/// Of an app of version 2: sources and XNodes every 100 us, and Log samples what Fuse makes.
+Result<Routes> log_samples(std::vector<ChainSpec> chains) {
   Graph graph = make_graph(false);
   graph.sources = {{"lidar", {100}}, {"camera", {100}}};
   graph.modules[0].component = graph.modules[1].component = 0;
@@ -150,8 +150,14 @@ TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
   app.version = 2;
   app.sources = graph.sources;
   app.xnodes = {{"Fuse", "Fuse", {}}, {"Plan", "Plan", {}}, {"Log", "Log", {}}};
-  app.chains = {{"to Fuse", 0, 0, 250}, {"to Plan", 0, 1, 250}, {"sampled", 0, 2, 250}};
-  auto routes = Routes::make(graph, grid, {}, app);
+  app.chains = std::move(chains);
+  return Routes::make(graph, grid, {}, app);
+}
+
+/// A run that gave up at 2000 us, where the lidar was released last at 1900, and the camera so long.
+TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
+  auto routes =
+      log_samples({{"to Fuse", 0, 0, 250}, {"to Plan", 0, 1, 250}, {"sampled", 0, 2, 250}});
   ASSERT_TRUE(routes);
   for (std::int64_t us = 1000; us <= 1900; us += 100) routes->released(0, us * 1000);
   detail::Origins origins{};
@@ -302,20 +308,7 @@ TEST(Routes, InLockstepAnAppOfOneRateHasAges) {
 /// docs/steady-state.md, "Chains": release k comes through a sample with the first activation n of the
 /// reader that begins after its result is there, which may be less than k. At the beginning it is not there.
 TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {
-  Graph graph = make_graph(false);
-  graph.sources = {{"lidar", {100}}, {"camera", {100}}};
-  graph.modules[0].component = graph.modules[1].component = 0;
-  graph.modules[2].component = 1;
-  Grid grid;
-  grid.periodic = true;
-  grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
-  grid.urgent_source = {-1, -1, -1};
-  AppSpec app;
-  app.version = 2;
-  app.sources = graph.sources;
-  app.xnodes = {{"Fuse", "Fuse", {}}, {"Plan", "Plan", {}}, {"Log", "Log", {}}};
-  app.chains = {{"through", 0, 2, 250}, {"inside", 0, 1, 250}};
-  auto routes = Routes::make(graph, grid, {}, app);
+  auto routes = log_samples({{"through", 0, 2, 250}, {"inside", 0, 1, 250}});
   ASSERT_TRUE(routes);
   for (std::int64_t n = 0; n < 6; ++n) routes->released(0, (1000 + n * 100) * 1000);
   for (std::int64_t n = 0; n < 5; ++n)

@@ -52,6 +52,21 @@ Platform cpus(int count) {
   return platform;
 }
 
+/// Whatever five seeds answer passes the check.
+void expect_policies_that_pass(const AppSpec& app, const Platform& platform,
+                               std::int64_t evaluations) {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    Options options;
+    options.max_evaluations = evaluations;
+    options.seed = seed;
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer) << answer.error().to_string();
+    ASSERT_EQ(answer->outcome, Outcome::kPolicy);
+    const auto report = check(app, platform, answer->policy);
+    EXPECT_TRUE(report) << report.error().to_string();
+  }
+}
+
 /// One CPU that does not preempt. The long job of the other clock may have just begun when a short one is released.
 /// A pattern of a clock that drifts by 10 % is laid out twice as far as it is known: the solver took the end of the
 /// busy time from beyond, and looked at no interval at all.
@@ -64,16 +79,7 @@ TEST(SteadyDrift, TheLongJobOfABadClockBlocksTheShortOne) {
   app.chains = {{"short", 0, 0, {}}};
   Platform platform = cpus(1);
   platform.xpus.front().preemptive = false;
-  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
-    Options options;
-    options.max_evaluations = 5000;
-    options.seed = seed;
-    const auto answer = solve(app, platform, options);
-    ASSERT_TRUE(answer) << answer.error().to_string();
-    ASSERT_EQ(answer->outcome, Outcome::kPolicy);
-    const auto report = check(app, platform, answer->policy);
-    EXPECT_TRUE(report) << report.error().to_string();
-  }
+  expect_policies_that_pass(app, platform, 5000);
 }
 
 /// Four rates of one clock, 2 % off, in a row.
@@ -150,16 +156,7 @@ TEST(SteadyDrift, AWayBackIntoAGroupIsCountedFromItsFirstVisitOn) {
   app.chains = {{"all", 0, 4, {}}, {"second", 1, 4, {}}};
   Platform platform = cpus(5);
   platform.xpus[1].preemptive = platform.xpus[4].preemptive = false;
-  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
-    Options options;
-    options.max_evaluations = 100;
-    options.seed = seed;
-    const auto answer = solve(app, platform, options);
-    ASSERT_TRUE(answer) << answer.error().to_string();
-    ASSERT_EQ(answer->outcome, Outcome::kPolicy);
-    const auto report = check(app, platform, answer->policy);
-    EXPECT_TRUE(report) << report.error().to_string();
-  }
+  expect_policies_that_pass(app, platform, 100);
 }
 
 constexpr std::int64_t kPpms[] = {0, 100, 20'000, 100'000};

@@ -37,11 +37,12 @@ TEST(Stretches, ThePartHasTheMakespanOfTheWholeWhateverIsDoneInIt) {
     const Problem problem = test::random_problem(dice, 18);
     Solution whole = random_ordered(dice, problem);
     const Time claimed = whole.makespan;
-    const Times times = timed(problem, whole);
+    DisjunctiveGraph graph(problem);
+    follow(graph, whole);
     ASSERT_EQ(whole.makespan, claimed);
     const int length = dice.roll(1, problem.num_xnodes);
     const auto first = at(dice.roll(0, problem.num_xnodes - length));
-    const Stretch stretch = stretch_of(problem, whole, times, first, at(length));
+    const Stretch stretch = stretch_of(problem, graph, whole, first, at(length));
     Problem empty = problem;
     for (int i : stretch.members)
       for (int t = 0; t < problem.num_types; ++t)

@@ -419,6 +419,14 @@ TEST(MetricsServerOpen, SaysWhatIsWrongWithAnAddress) {
   EXPECT_NE(second.error().to_string().find("choose another"), std::string::npos);
 }
 
+/// "kind count" of what breaks the claim.
+std::vector<std::string> breaking(const ClaimCounts& claims) {
+  std::vector<std::string> kinds;
+  for (const Violation& v : claims.violations)
+    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
+  return kinds;
+}
+
 /// As the report says it after the run. A budget is the deployment's wish: to pass it breaks no claim.
 TEST(Counts, AJobPastItsWcetBreaksTheClaimOfOnePolicyAndABudgetDoesNot) {
   const auto board = runtime::Board::local({.nodes = 2});
@@ -467,10 +475,7 @@ TEST(Counts, WhatHasNotEndedBreaksTheClaim) {
                                "XNode 'm.x' of XModule 'm' has run for 9123.46 ms and has not "
                                "ended; its WCET is 18.60 ms",
                                "2 jobs of XNode 'm.x' of XModule 'm' ran past their hang limit"}));
-  std::vector<std::string> kinds;
-  for (const Violation& v : claims.violations)
-    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
-  EXPECT_EQ(kinds, (std::vector<std::string>{"wcet_overrun 1", "hang 2"}));
+  EXPECT_EQ(breaking(claims), (std::vector<std::string>{"wcet_overrun 1", "hang 2"}));
 }
 
 TEST(Counts, WhatIsNotSuspendedOrNotResumedBreaksTheClaim) {
@@ -488,10 +493,8 @@ TEST(Counts, WhatIsNotSuspendedOrNotResumedBreaksTheClaim) {
             (std::vector<std::string>{
                 "preemption failed 25 times on gpu0: the work of XNode 'm.x' was not suspended",
                 "preemption failed 1 time on gpu0: the work of XNode 'm.x' was not resumed"}));
-  std::vector<std::string> kinds;
-  for (const Violation& v : claims.violations)
-    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
-  EXPECT_EQ(kinds, (std::vector<std::string>{"failed_suspension 25", "failed_resumption 1"}));
+  EXPECT_EQ(breaking(claims),
+            (std::vector<std::string>{"failed_suspension 25", "failed_resumption 1"}));
   line.failed_on = 7;  // whatever another program wrote there
   EXPECT_EQ(counts_of(*board).claims.broken.size(), 2u);
 }
