@@ -7,6 +7,7 @@
 #include <xauto/app.h>
 
 #include "base/pi_mutex.h"
+#include "base/thread.h"
 #include "emu/client.h"
 #include "graph/deployed.h"
 #include "graph/graph.h"
@@ -143,10 +144,11 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   const auto held = std::make_shared<Held>(Held{self, std::move(session), std::move(deployed)});
   // On a thread of its own, whose name, emulator and priority are nobody else's.
   app::Ran ran;
-  std::thread([&] {
-    emu::set_this_threads_site(site);
-    ran = app::run_engine(renamed ? held->deployed : spec, held->session, stop, held);
-  }).join();
+  XAUTO_ASSIGN(std::thread runs, start_thread([&] {
+                 emu::set_this_threads_site(site);
+                 ran = app::run_engine(renamed ? held->deployed : spec, held->session, stop, held);
+               }));
+  runs.join();
   if (ran.stuck) {
     const Guard lock(mutex);
     state = Run::kStuck;

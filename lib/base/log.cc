@@ -10,6 +10,8 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
+#include "base/utf8.h"
+
 namespace xauto::log {
 namespace {
 
@@ -36,7 +38,8 @@ spdlog::logger& logger() {
 void write(Level level, std::string_view text) {
   static constexpr spdlog::level::level_enum kLevels[] = {spdlog::level::debug, spdlog::level::info,
                                                           spdlog::level::warn, spdlog::level::err};
-  logger().log(kLevels[static_cast<int>(level)], "{}", text);
+  // What an app throws, a file is called or a driver says is in it.
+  logger().log(kLevels[static_cast<int>(level)], "{}", for_terminal(text));
 }
 
 }  // namespace xauto::log

@@ -202,7 +202,8 @@ std::string program_directory() {
   const ssize_t length = readlink("/proc/self/exe", path, sizeof path);
   const std::string program(path, length > 0 ? static_cast<std::size_t>(length) : 0);
   const std::size_t slash = program.rfind('/');
-  return slash == std::string::npos ? "." : program.substr(0, slash);
+  // Never the working directory: whoever may write there is not asked what to start.
+  return slash == std::string::npos ? "/usr/libexec/xauto" : program.substr(0, slash);
 }
 
 }  // namespace xauto

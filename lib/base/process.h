@@ -69,7 +69,8 @@ class Child {
   OneThread thread_;
 };
 
-/// The directory of the running program, for finding the programs that are installed beside it.
+/// The directory of the running program, for finding the programs that are installed beside it. Without /proc: where
+/// packages install them.
 [[nodiscard]] std::string program_directory();
 
 }  // namespace xauto

@@ -16,6 +16,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "base/thread.h"
 #include "base/unique_fd.h"
 
 namespace xauto::rt {
@@ -47,7 +48,8 @@ Status set_other() {
 bool may_use_fifo(int priority) {
   // Rights are the process's, so a thread that ends at once tells without touching the caller.
   bool allowed = false;
-  std::thread([&] { allowed = set_fifo(priority).has_value(); }).join();
+  auto asks = start_thread([&] { allowed = set_fifo(priority).has_value(); });
+  if (asks) asks->join();  // no thread to ask by: none to use it, either
   return allowed;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text that others are promised to be UTF-8, out of memory where anything may be.
+// Text for others, out of memory where anything may be.
 #pragma once
 
 #include <cstddef>
@@ -32,6 +32,32 @@ inline std::string valid_utf8(std::string_view text) {
     const std::size_t length = utf8_length(text);
     out += length == 0 ? std::string_view("?") : text.substr(0, length);
     text.remove_prefix(length == 0 ? 1 : length);
+  }
+  return out;
+}
+
+/// As `\x1b`, what a terminal might obey: control characters (C0 but for new line and tab, DEL, C1), and
+/// bytes that belong to no character.
+inline std::string for_terminal(std::string_view text) {
+  static constexpr char kHex[] = "0123456789abcdef";
+  std::string out;
+  out.reserve(text.size());
+  while (!text.empty()) {
+    const std::size_t length = utf8_length(text);
+    const auto first = static_cast<unsigned char>(text[0]);
+    const bool c0 =
+        length == 1 && (first == 0x7f || (first < 0x20 && first != '\n' && first != '\t'));
+    const bool c1 = length == 2 && first == 0xc2 && static_cast<unsigned char>(text[1]) < 0xa0;
+    const std::size_t taken = length == 0 ? 1 : length;
+    if (length == 0 || c0 || c1) {
+      for (const char c : text.substr(0, taken)) {
+        const auto byte = static_cast<unsigned char>(c);
+        out += {'\\', 'x', kHex[byte >> 4], kHex[byte & 0xf]};
+      }
+    } else {
+      out += text.substr(0, taken);
+    }
+    text.remove_prefix(taken);
   }
   return out;
 }

@@ -16,6 +16,7 @@
 #include "base/memory_file.h"
 #include "base/rt.h"
 #include "base/socket.h"
+#include "base/thread.h"
 #include "launch/cpu_run.h"
 
 namespace xauto::launch {
@@ -71,10 +72,11 @@ Result<std::unique_ptr<Keeper>> Keeper::start(runtime::Session& session, const s
   sigset_t all, before;  // the host's signals are handled on the host's threads
   sigfillset(&all);
   pthread_sigmask(SIG_SETMASK, &all, &before);
-  keeper->thread_ = std::thread(
-      [&, k = keeper.get()](std::promise<Status> p) { k->keep(session, bin, std::move(p)); },
-      std::move(promise));
+  auto thread = start_thread([&, k = keeper.get(), p = std::move(promise)]() mutable {
+    k->keep(session, bin, std::move(p));
+  });
   pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  XAUTO_ASSIGN(keeper->thread_, std::move(thread));
   XAUTO_TRY(started.get());
   return keeper;
 }

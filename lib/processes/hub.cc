@@ -17,6 +17,7 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "base/socket.h"
+#include "base/thread.h"
 
 namespace xauto::runtime {
 namespace {
@@ -52,7 +53,7 @@ Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
   }
   hub->wake_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!hub->wake_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
-  hub->thread_ = std::thread([h = hub.get()] { h->serve(); });
+  XAUTO_ASSIGN(hub->thread_, start_thread([h = hub.get()] { h->serve(); }));
   return hub;
 }
 

@@ -15,6 +15,7 @@
 #include "base/first_line.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "kernel/bpf_sys.h"
 #include "kernel/run_maps.h"
 
@@ -145,7 +146,7 @@ Result<std::unique_ptr<CpuThreads>> CpuThreads::create(const CpuThreadsOptions& 
     threads->note_ = "the sched_ext scheduler had ended before the app began: SCHED_FIFO instead";
     return threads;
   }
-  threads->watcher_ = std::thread([all = threads.get()] { all->watch(); });
+  XAUTO_ASSIGN(threads->watcher_, start_thread([all = threads.get()] { all->watch(); }));
   return threads;
 }
 

@@ -5,12 +5,15 @@
 #include <charconv>
 #include <set>
 
+#include "base/clock.h"
 #include "model/components.h"
 
 namespace xauto::solver::steady {
 namespace {
 
 constexpr std::int64_t kMostPercent = 10'000;
+constexpr double kLeastMoveS = 0.05,
+                 kMostMoveS = 0.5;  // below, a search finds little; above, little more
 
 Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const KeyPolicy& begin,
                    std::string change, Options options) {
@@ -90,31 +93,44 @@ Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const KeyPol
   return ask(changed, platform, policy, name + " at " + value + " Hz", options);
 }
 
-Result<std::vector<WhatIf>> moves(const AppSpec& app, const Platform& platform,
-                                  const KeyPolicy& policy, const std::vector<int>& xnodes,
-                                  const Options& options) {
-  std::vector<WhatIf> answers;
+Result<Moves> moves(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                    const std::vector<int>& xnodes, const Options& options) {
   std::vector<int> served(platform.xpus.size(), 0);
   for (const KeyPlacement& p : policy.placements) ++served[static_cast<std::size_t>(p.xpu)];
-  Options keep = options;
-  keep.keep = Keep::kPlacement;
+  std::vector<std::pair<int, int>> elsewhere;  // XNode, XPU
   for (const int i : xnodes) {
     const XNodeSpec& xnode = app.xnodes[static_cast<std::size_t>(i)];
-    const int now = policy.placements[static_cast<std::size_t>(i)].xpu;
     std::set<std::string> idle;  // types
     for (int x = 0; x < static_cast<int>(platform.xpus.size()); ++x) {
       const Xpu& xpu = platform.xpus[static_cast<std::size_t>(x)];
-      if (x == now || !xnode.wcet_on(xpu.type)) continue;
+      if (x == policy.placements[static_cast<std::size_t>(i)].xpu || !xnode.wcet_on(xpu.type))
+        continue;
       if (served[static_cast<std::size_t>(x)] == 0 && !idle.insert(xpu.type).second) continue;
-      KeyPolicy moved = policy;
-      moved.placements[static_cast<std::size_t>(i)].xpu = x;
-      auto answer = ask(app, platform, moved, xnode.name + " on " + xpu.id, keep);
-      if (!answer) continue;  // pinned, forbidden, or not with its group
-      answers.push_back(std::move(*answer));
-      if (options.stop != nullptr && options.stop->load()) return answers;
+      elsewhere.emplace_back(i, x);
     }
   }
-  return answers;
+  Moves made;
+  Options keep = options;
+  keep.keep = Keep::kPlacement;
+  keep.time_limit_s = made.each_s = std::clamp(
+      options.time_limit_s / static_cast<double>(std::max<std::size_t>(1, elsewhere.size())),
+      kLeastMoveS, kMostMoveS);
+  const std::int64_t start_ns = now_ns();
+  for (const auto& [i, x] : elsewhere) {
+    if (static_cast<double>(now_ns() - start_ns) >= options.time_limit_s * 1e9 ||
+        (options.stop != nullptr && options.stop->load())) {
+      ++made.untried;
+      continue;
+    }
+    KeyPolicy moved = policy;
+    moved.placements[static_cast<std::size_t>(i)].xpu = x;
+    auto answer = ask(app, platform, moved,
+                      app.xnodes[static_cast<std::size_t>(i)].name + " on " +
+                          platform.xpus[static_cast<std::size_t>(x)].id,
+                      keep);
+    if (answer) made.tried.push_back(std::move(*answer));
+  }
+  return made;
 }
 
 }  // namespace xauto::solver::steady

@@ -23,11 +23,17 @@ struct WhatIf {
                                     const KeyPolicy& policy, const std::string& text,
                                     const Options& options);
 
+struct Moves {
+  std::vector<WhatIf> tried;
+  std::size_t untried = 0;  ///< the time was over before
+  double each_s = 0;        ///< limit of each search
+};
+
 /// One XNode of `xnodes` elsewhere, everybody else where `policy` has them: for each other XPU that
-/// it may run on, of equal ones that serve nobody only one. `options` is of each search.
-[[nodiscard]] Result<std::vector<WhatIf>> moves(const AppSpec& app, const Platform& platform,
-                                                const KeyPolicy& policy,
-                                                const std::vector<int>& xnodes,
-                                                const Options& options);
+/// it may run on, of equal ones that serve nobody only one. What is pinned, forbidden, or not with its group is no
+/// move. `options.time_limit_s` is of all together.
+[[nodiscard]] Result<Moves> moves(const AppSpec& app, const Platform& platform,
+                                  const KeyPolicy& policy, const std::vector<int>& xnodes,
+                                  const Options& options);
 
 }  // namespace xauto::solver::steady

@@ -135,9 +135,21 @@ class Gate(unittest.TestCase):
             json.dump(hardware, f)
         done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
                      "--json", "--", BIN / "driving-steady")
-        self.assertIn("`xauto check` does not derive its worst cases here", done.stderr)
-        self.assertIn("`xauto check` does not derive them",
+        self.assertIn("`xauto check` refuses it here", done.stderr)
+        self.assertIn("`xauto check` refuses the policy",
                       "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))
+
+    def test_a_policy_of_one_release_that_was_edited(self):
+        files = testapp_files(self.folder)
+        run = ["run", *files, "--activations", "3", "--json", "--", TESTAPP, os.path.join(self.folder, "result")]
+        self.assertNotIn("xauto check", xauto(*run).stderr)
+        policy = pathlib.Path(files[files.index("--policy") + 1])
+        edited = json.loads(policy.read_text())
+        edited["worst_case_us"] = edited["latency_us"] - 1
+        policy.write_text(json.dumps(edited))
+        done = xauto(*run)
+        self.assertIn("policy.json: `xauto check` refuses it here: worst_case_us", done.stderr)
+        self.assertIn("`xauto check` refuses the policy", "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))
 
     def test_what_cannot_be_is_refused(self):
         done, _ = self.run_app("miss,late")

@@ -180,6 +180,11 @@ class Periodic(unittest.TestCase):
         self.assertLessEqual({x["name"] for x in self.app["xnodes"] if x["name"] in brake["path"] and
                               "cpu" in x["wcet_us"]}, moved)
         self.assertIn("The worst off is brake", self.run_tool("explain", "--app", "app.json", "--policy", "policy.json").stdout)
+        self.assertEqual(told["moves_untried"], 0)
+        hurried = json.loads(self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--json", "--time-limit-s", 0).stdout)
+        self.assertEqual((hurried["moves"], hurried["moves_untried"] >= len(told["moves"])), ([], True))
+        self.assertRegex(self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--time-limit-s", 0).stdout,
+                         r"(?m)^  \d+ more were not tried in 0 s \(--time-limit-s\)\.$")
 
     def test_explain_draws_the_windows(self):
         self.solve()

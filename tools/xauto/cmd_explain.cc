@@ -22,6 +22,7 @@ namespace {
 
 struct ExplainFlags {
   std::string app, platform, policy, windows, trace, chain, activation = "worst";
+  double moves_s = 10;
 };
 
 Json to_json(const std::vector<story::Blocker>& list) {
@@ -235,7 +236,7 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   if (app.version == 2)
-    return explain_periodic(app, platform, flags.policy, flags.windows, options);
+    return explain_periodic(app, platform, flags.policy, flags.windows, flags.moves_s, options);
   if (!flags.windows.empty())
     return fail(ErrorCode::kInvalid, "is for an app of version 2", "--windows",
                 "a policy of version 1 has no windows; `xauto simulate` shows its schedule");
@@ -298,6 +299,10 @@ void add_explain(Commands& commands) {
   verb.option("--policy", flags->policy, "policy.json");
   verb.option("--windows", flags->windows,
               "of an app of version 2: write a picture of every job's window here, an SVG");
+  verb.option("--time-limit-s", flags->moves_s,
+              "for all that moving an XNode would bring, version 2")
+      .not_negative()
+      .shown();
   verb.option("--trace", flags->trace,
               "instead of the three above: a file of `xauto run --trace-out` or `xauto compare`")
       .excludes("--app")

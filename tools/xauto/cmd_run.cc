@@ -9,6 +9,7 @@
 #include "base/log.h"
 #include "model/json.h"
 #include "solver/steady/check.h"
+#include "solver/verify_tables.h"
 
 #include "xauto/command.h"
 #include "xauto/gate.h"
@@ -46,18 +47,32 @@ Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
   return {};
 }
 
+/// The first statement that `xauto check` refuses; empty: none.
+std::string refused_by_check(const OneRunFlags& flags, const PolicyRun& run) {
+  if (run.keys) {
+    const auto checked = solver::steady::check(flags.app, flags.spec, *run.keys);
+    // What takes too long to derive, or makes no sense to check, is not refused by it.
+    return checked || checked.error().code != ErrorCode::kInfeasible ? ""
+                                                                     : checked.error().to_string();
+  }
+  if (!run.tables && !run.policy->worst_case_us) return {};  // a run holds nothing else against it
+  // What is refuted at once. Bounds on all policies are no concern of a run.
+  constexpr solver::VerifyOptions kAtOnce{.executions = 100, .proof_nodes = 0, .schedules = 0};
+  const std::vector<std::string> lies =
+      run.tables ? solver::verify_tables(flags.app, flags.spec, *run.tables, kAtOnce).lies
+                 : solver::verify(flags.app, flags.spec, *run.policy, kAtOnce).lies;
+  return lies.empty() ? "" : lies.front();
+}
+
 /// A policy of another platform, or one that was edited, is worth a run; its worst cases are not.
 void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
   if (run.scheduling != runtime::Scheduling::kXAuto) return;
-  const auto checked = solver::steady::check(flags.app, flags.spec, *run.keys);
-  // What takes too long to derive, or makes no sense to check, is not refused by it.
-  if (checked || checked.error().code != ErrorCode::kInfeasible) return;
-  run.untrue = checked.error().what;
-  log::warn(
-      "{}: `xauto check` does not derive its worst cases here: {} (`xauto solve` makes a policy "
-      "for "
-      "this app and platform)",
-      flags.policy_path, checked.error().to_string());
+  run.untrue = refused_by_check(flags, run);
+  if (!run.untrue.empty())
+    log::warn(
+        "{}: `xauto check` refuses it here: {} (`xauto solve` makes a policy for this app and "
+        "platform)",
+        flags.policy_path, run.untrue);
 }
 
 Result<int> run(const OneRunFlags& given, const Options& options) {
@@ -78,13 +93,13 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
       XAUTO_TRY(take_tables(flags, run));
     } else if (flags.app.version == 2) {
       XAUTO_ASSIGN(run.keys, load_key_policy(flags.policy_path, flags.app, flags.spec));
-      warn_of_untrue_claims(flags, run);
       run.policy = assignment_of(*run.keys);
     } else {
       XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
     }
     XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
                                     flags.policy_path));
+    warn_of_untrue_claims(flags, run);
     run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
   }
   if (!flags.name.empty()) run.id = run.name = flags.name;

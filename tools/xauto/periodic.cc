@@ -22,9 +22,6 @@ namespace {
 
 namespace steady = solver::steady;
 
-/// What `explain` gives to all its moves together, unless there are very many.
-constexpr double kMovesS = 10;
-
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
 }
@@ -434,7 +431,7 @@ std::vector<std::string> names_on_path(const AppSpec& app, const std::vector<int
 }
 
 Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                             const std::string& picture, const Options& options) {
+                             const std::string& picture, double moves_s, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--windows", picture));
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
@@ -453,12 +450,9 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
   for (std::size_t c = 0; c < report.chains.size(); ++c)
     ways.push_back(whole_path(app, platform, policy, app.chains[c], report.chains[c].path));
   const std::vector<int> on_path = ways.empty() ? std::vector<int>() : ways[worst];
-  // Each move is a search: all together end within a few seconds.
-  steady::Options small;
-  small.time_limit_s = std::clamp(kMovesS / static_cast<double>(std::max<std::size_t>(
-                                                1, on_path.size() * (platform.xpus.size() - 1))),
-                                  0.05, 0.5);
-  XAUTO_ASSIGN(const auto moved, steady::moves(app, platform, policy, on_path, small));
+  steady::Options asked;
+  asked.time_limit_s = moves_s;
+  XAUTO_ASSIGN(const steady::Moves moved, steady::moves(app, platform, policy, on_path, asked));
   const auto names = [&](std::size_t c) { return names_on_path(app, ways[c], c); };
   if (options.json) {
     Json root = {{"schema", "xauto.explanation"}, {"version", 2}, {"proofs", proofs(report)}};
@@ -466,7 +460,8 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
       root["chains"].push_back({{"name", report.chains[c].name},
                                 {"worst_case_us", report.chains[c].derived_us},
                                 {"path", names(c)}});
-    root["moves"] = cases_of(app, moved);
+    root["moves"] = cases_of(app, moved.tried);
+    root["moves_untried"] = moved.untried;
     std::cout << root.dump(2) << "\n";
   } else {
     std::cout << proof_table(policy, report) << "\n";
@@ -477,7 +472,10 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
       std::cout << fmt::format(
                        "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
                        report.chains[worst].name)
-                << what_if_table(app, policy, moved, small.time_limit_s);
+                << what_if_table(app, policy, moved.tried, moved.each_s);
+    if (moved.untried > 0)
+      std::cout << fmt::format("\n  {} more were not tried in {:g} s (--time-limit-s).\n",
+                               moved.untried, moves_s);
   }
   std::cout.flush();
   if (!picture.empty()) outputs.write(picture, story::windows_svg(app, platform, policy, report));

@@ -18,11 +18,11 @@ namespace xauto::cli {
                                          const solver::steady::Options& asked,
                                          const std::vector<std::string>& assume,
                                          const std::string& out, const Options& options);
-/// The tightest windows, the worst path of each chain, and what moving its XNodes would bring. A
-/// picture of all windows goes to `picture`, if there is one.
+/// The tightest windows, the worst path of each chain, and what moving its XNodes would bring, as far
+/// as that is found within `moves_s`. A picture of all windows goes to `picture`, if there is one.
 [[nodiscard]] Result<int> explain_periodic(const AppSpec& app, const Platform& platform,
                                            const std::string& policy, const std::string& picture,
-                                           const Options& options);
+                                           double moves_s, const Options& options);
 /// Status 1: the policy claims what does not follow, misses a deadline, or breaks what is `asked`.
 [[nodiscard]] Result<int> check_periodic(const AppSpec& app, const Platform& platform,
                                          const std::string& policy, const solver::Objectives& asked,

@@ -87,7 +87,7 @@ struct PolicyRun {
   std::optional<KeyPolicy> keys;  ///< of an app of version 2
   /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
   std::optional<Tables> tables;
-  std::string untrue;            ///< why `xauto check` refuses `keys` here; empty: not known
+  std::string untrue;            ///< why `xauto check` refuses the policy here; empty: not known
   solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
   // Filled in by `execute`.
   runtime::RunReport report;

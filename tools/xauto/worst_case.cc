@@ -50,6 +50,10 @@ std::string overruns(const RunFlags& flags, const PolicyRun& run) {
   return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, jobs, worst, ms(worst_us));
 }
 
+std::string refused(const PolicyRun& run) {
+  return "`xauto check` refuses the policy: " + run.untrue;
+}
+
 }  // namespace
 
 std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& run) {
@@ -59,6 +63,7 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   worst.us = *run.policy->worst_case_us;
   worst.exceeded = run.latency.max_us > worst.us;
   worst.broken = run.report.unkept;
+  if (!run.untrue.empty()) worst.broken.push_back(refused(run));
   if (run.latency.count == 0) worst.broken.emplace_back("no release was measured");
   if (run.report.overlapping_releases > 0)
     worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
@@ -99,8 +104,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
     return std::nullopt;
   KeyClaims claims;
   claims.broken = run.report.unkept;
-  if (!run.untrue.empty())
-    claims.broken.push_back("`xauto check` does not derive them: " + run.untrue);
+  if (!run.untrue.empty()) claims.broken.push_back(refused(run));
   claims.broken.insert(claims.broken.end(), run.report.broken.begin(), run.report.broken.end());
   std::uint64_t lost = 0;
   for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;

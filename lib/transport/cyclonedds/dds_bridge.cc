@@ -24,6 +24,7 @@
 #include "base/log.h"
 #include "base/pi_mutex.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "transport/bridge.h"
 #include "transport/cyclonedds/publisher.h"
 #include "transport/cyclonedds/sample.h"
@@ -104,7 +105,7 @@ class DdsBridge final : public Bridge {
                   "cannot join DDS domain " + std::to_string(options.domain) + ": " +
                       reason(bridge->participant_),
                   {}, "CYCLONEDDS_URI must name a network interface that is there");
-    bridge->thread_ = std::thread([b = bridge.get()] { b->run(); });
+    XAUTO_ASSIGN(bridge->thread_, start_thread([b = bridge.get()] { b->run(); }));
     return bridge;
   }
   ~DdsBridge() override {

@@ -38,5 +38,18 @@ TEST(Utf8, WhatIsNoCharacterIsReplacedByteByByte) {
   EXPECT_EQ(valid_utf8(""), "");
 }
 
+TEST(Utf8, WhatATerminalMightObeyIsShown) {
+  EXPECT_EQ(for_terminal("two\nlines\tand gr\xc3\xb6\xc3\x9f"
+                         "e"),
+            "two\nlines\tand gr\xc3\xb6\xc3\x9f"
+            "e");
+  EXPECT_EQ(for_terminal("\x1b[2Jgone"), "\\x1b[2Jgone");
+  EXPECT_EQ(for_terminal("a\rb\x7f"), "a\\x0db\\x7f");
+  EXPECT_EQ(for_terminal("\xc2\x9b"
+                         "2J"),
+            "\\xc2\\x9b2J");  // CSI in one character
+  EXPECT_EQ(for_terminal(std::string_view("\0\xff", 2)), "\\x00\\xff");
+}
+
 }  // namespace
 }  // namespace xauto
