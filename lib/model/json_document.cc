@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <set>
 #include <string_view>
 #include <vector>
 
@@ -75,79 +74,6 @@ std::string step(const std::string& key) {
   return "/" + escaped;
 }
 
-/// Watches a parse for what nlohmann's own parser lets pass. Holds one frame per open array or
-/// object.
-class Guard {
- public:
-  struct Refusal {
-    std::string what, path;
-  };
-
-  bool operator()(int /*depth*/, json::parse_event_t event, json& parsed) {
-    using Event = json::parse_event_t;
-    switch (event) {
-      case Event::object_start:
-      case Event::array_start:
-        count();
-        if (frames_.size() >= static_cast<std::size_t>(kMaxJsonDepth))
-          throw Refusal{"is nested deeper than " + std::to_string(kMaxJsonDepth), path()};
-        frames_.push_back({event == Event::array_start, 0, {}, {}});
-        break;
-      case Event::object_end:
-      case Event::array_end:
-        frames_.pop_back();
-        after_value();
-        break;
-      case Event::key: {
-        const std::string& key = parsed.get_ref<const std::string&>();
-        Frame& frame = frames_.back();
-        if (!frame.keys.insert(key).second)
-          throw Refusal{"key " + shown(key) + " is there twice", path()};
-        frame.key = key;
-        break;
-      }
-      case Event::value:
-        count();
-        after_value();
-        break;
-    }
-    return true;
-  }
-
-  /// JSON pointer of what is being read.
-  [[nodiscard]] std::string path() const {
-    std::string text;
-    for (const Frame& frame : frames_) {
-      if (frame.array)
-        text += "/" + std::to_string(frame.index);
-      else if (!frame.key.empty())
-        text += step(frame.key);
-    }
-    return text;
-  }
-
- private:
-  struct Frame {
-    bool array;
-    std::size_t index;           // of the array element being read
-    std::string key;             // of the object member being read
-    std::set<std::string> keys;  // seen in this object
-  };
-
-  void count() const {
-    if (++values_ > kMaxValues)
-      throw Refusal{"has more than " + std::to_string(kMaxValues) + " values", {}};
-  }
-  void after_value() {
-    if (frames_.empty()) return;
-    Frame& frame = frames_.back();
-    if (frame.array) ++frame.index;
-    frame.key.clear();
-  }
-  std::vector<Frame> frames_;
-  mutable std::size_t values_ = 0;
-};
-
 /// nlohmann's "[json.exception.parse_error.101] parse error at line 3, column 7: syntax error while
 /// …; last read: '…'" without its own name and without repeating a token of any length or encoding.
 std::string explain(std::string what) {
@@ -169,6 +95,89 @@ std::string explain(std::string what) {
   if (what.size() > 300) what = what.substr(0, 297) + "...";
   return what;
 }
+
+/// Builds a document, and refuses what nlohmann's own parser lets pass. That one's callback would do,
+/// but it looks at all elements of a list again after each object in it.
+class Builder : public nlohmann::json_sax<json> {
+ public:
+  struct Refusal {
+    std::string what, path;
+  };
+
+  bool null() override { return add(nullptr); }
+  bool boolean(bool value) override { return add(value); }
+  bool number_integer(number_integer_t value) override { return add(value); }
+  bool number_unsigned(number_unsigned_t value) override { return add(value); }
+  bool number_float(number_float_t value, const string_t& /*text*/) override { return add(value); }
+  bool string(string_t& value) override { return add(std::move(value)); }
+  bool binary(binary_t& value) override { return add(std::move(value)); }
+  bool start_object(std::size_t /*size*/) override { return open(json::object()); }
+  bool start_array(std::size_t /*size*/) override { return open(json::array()); }
+  bool end_object() override { return close(); }
+  bool end_array() override { return close(); }
+  bool key(string_t& key) override {
+    Frame& frame = frames_.back();
+    if (frame.value->contains(key)) throw Refusal{"key " + shown(key) + " is there twice", path()};
+    frame.key = std::move(key);
+    return true;
+  }
+  bool parse_error(std::size_t /*position*/, const std::string& /*token*/,
+                   const json::exception& e) override {
+    // Of what is no JSON it knows line and column.
+    const bool knows = dynamic_cast<const json::parse_error*>(&e) != nullptr;
+    throw Refusal{explain(e.what()), knows ? "" : path()};
+  }
+
+  /// JSON pointer of what is being read.
+  [[nodiscard]] std::string path() const {
+    std::string text;
+    for (const Frame& frame : frames_) {
+      if (frame.value->is_array())  // what is open is in it already
+        text += "/" + std::to_string(frame.value->size() - (&frame == &frames_.back() ? 0 : 1));
+      else if (!frame.key.empty())
+        text += step(frame.key);
+    }
+    return text;
+  }
+
+  json document;
+
+ private:
+  /// An array or object that is open. Nothing around it grows before it is closed.
+  struct Frame {
+    json* value;
+    std::string key;  // of the object member being read
+  };
+
+  json* put(json value) {
+    if (++values_ > kMaxValues)
+      throw Refusal{"has more than " + std::to_string(kMaxValues) + " values", {}};
+    if (frames_.empty()) return &(document = std::move(value));
+    Frame& frame = frames_.back();
+    if (!frame.value->is_array()) return &((*frame.value)[frame.key] = std::move(value));
+    frame.value->push_back(std::move(value));
+    return &frame.value->back();
+  }
+  bool add(json value) {
+    put(std::move(value));
+    if (!frames_.empty()) frames_.back().key.clear();
+    return true;
+  }
+  bool open(json value) {
+    if (frames_.size() >= static_cast<std::size_t>(kMaxJsonDepth))
+      throw Refusal{"is nested deeper than " + std::to_string(kMaxJsonDepth), path()};
+    frames_.push_back({put(std::move(value)), {}});
+    return true;
+  }
+  bool close() {
+    frames_.pop_back();
+    if (!frames_.empty()) frames_.back().key.clear();
+    return true;
+  }
+
+  std::vector<Frame> frames_;
+  std::size_t values_ = 0;
+};
 
 std::string place(const std::string& origin, const std::string& path) {
   return path.empty() ? origin : origin + ": " + path;
@@ -285,15 +294,14 @@ Result<json> parse(std::string_view text, std::string_view origin) {
   if (text.size() > kMaxFileBytes)
     return fail(ErrorCode::kInvalid, "is longer than " + std::to_string(kMaxFileBytes) + " bytes",
                 std::string(origin));
-  Guard guard;
+  Builder builder;
   try {
-    return json::parse(text.begin(), text.end(), std::ref(guard));
-  } catch (const Guard::Refusal& refusal) {
+    (void)json::sax_parse(text.begin(), text.end(), &builder);
+    return std::move(builder.document);
+  } catch (const Builder::Refusal& refusal) {
     return fail(ErrorCode::kInvalid, refusal.what, place(std::string(origin), refusal.path));
-  } catch (const json::parse_error& e) {  // knows line and column
-    return fail(ErrorCode::kInvalid, explain(e.what()), std::string(origin));
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kInvalid, explain(e.what()), place(std::string(origin), guard.path()));
+    return fail(ErrorCode::kInvalid, explain(e.what()), place(std::string(origin), builder.path()));
   }
 }
 

@@ -127,9 +127,7 @@ bool is_of_one_domain(const Problem& p, int m, const std::vector<int>& xpu) {
 /// Whether all others of its domain there are before it.
 bool is_last_of_domain(const Problem& p, int m, const std::vector<int>& xpu, int xnode) {
   for (const int i : p.domains[at(p.domain_of(xnode))].xnodes)
-    if (xpu[at(i)] == m && i != xnode &&
-        !(p.component_of[at(i)] == p.component_of[at(xnode)] && p.before(i, xnode)))
-      return false;
+    if (xpu[at(i)] == m && i != xnode && !p.before(i, xnode)) return false;
   return true;
 }
 
@@ -232,7 +230,8 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
   return demand_fits(patterns, blocking, tightest);
 }
 
-bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why) {
+bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why,
+             const Until& until) {
   w.a.resize(at(p.num_slots));
   for (std::size_t d = 0; d < p.domains.size(); ++d) derive_ready(p, static_cast<int>(d), xpu, w);
   if (!sane(p, xpu, w, why)) return false;
@@ -244,6 +243,7 @@ bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::str
   charge(p, xpu, w, u, -1, charges);
   const std::vector<char> shared = shared_xpus(p, xpu);
   for (int m = 0; m < p.num_xpus; ++m) {
+    if (until.over()) return refuse(why, "the time is over");
     const std::string name = "XPU '" + p.xpu_name[at(m)] + "': ";
     if (shared[at(m)] != 0) {
       if (!shared_fits(p, m, xpu, w, u, charges))

@@ -10,6 +10,7 @@
 #include "solver/steady/demand.h"
 #include "solver/steady/problem.h"
 #include "solver/steady/windows.h"
+#include "solver/until.h"
 
 namespace xauto::solver::steady {
 
@@ -30,8 +31,8 @@ namespace xauto::solver::steady {
                                Tightest* tightest = nullptr);
 
 /// d and hold of `w` are given (by slot), the rest is derived. False, with `why` (may be null): an
-/// XPU and what is wrong.
+/// XPU and what is wrong, or that the time is over.
 [[nodiscard]] bool certify(const Problem& problem, const std::vector<int>& xpu, Windows& w,
-                           std::string* why = nullptr);
+                           std::string* why = nullptr, const Until& until = {});
 
 }  // namespace xauto::solver::steady

@@ -33,7 +33,8 @@ bool Figures::better_than(const Figures& other) const {
 
 Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
     : p_(problem), reference_(reference) {
-  for (std::size_t d = 0; d < p_.domains.size(); ++d) exhibitors_.emplace_back(p_);
+  const auto scratch = std::make_shared<Exhibitor::Scratch>();
+  for (std::size_t d = 0; d < p_.domains.size(); ++d) exhibitors_.emplace_back(p_, scratch);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     deadlines_ = deadlines_ || p_.chains[c].deadline != kNoTick;
     reference_sum_ += static_cast<double>(p_.chains[c].weight) * static_cast<double>(reference_[c]);
@@ -116,7 +117,7 @@ bool Evaluator::as_before(const Decision& decision, int m, const Figures& out) c
 }
 
 /// The shared XPUs, by the demand bound.
-bool Evaluator::serves(const Decision& decision, Figures& out) {
+bool Evaluator::serves(const Decision& decision, Figures& out, const Until& until) {
   // How much is missing leads the annealer to where nothing is.
   double missing = 0;
   out.missing.assign(at(p_.num_xpus), 0);
@@ -134,6 +135,10 @@ bool Evaluator::serves(const Decision& decision, Figures& out) {
     if (as_before(decision, m, out)) {
       here = base_figures_->missing[at(m)];
     } else {
+      if (until.over()) {
+        out.cost = 2 * kInvalidCost;
+        return false;
+      }
       charge(p_, decision.xpu, out.w, urgent_, m, charges_);
       Tightest t;
       if (!shared_fits(p_, m, decision.xpu, out.w, urgent_, charges_, &t))
@@ -253,7 +258,7 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
   if (!set_costs(out, until)) return false;
   // What is refused anyway need not be served.
   if (out.cost > most_) return false;
-  return serves(decision, out);
+  return serves(decision, out, until);
 }
 
 /// False: it is over before all ways are known.

@@ -64,7 +64,7 @@ class Evaluator {
   bool simulate(const Decision& decision, const Figures* keys, Figures& out, const Until& until);
   bool plan(const Decision& decision, Figures& out, const Until& until);
   void find_changes(const Decision& decision, const Figures& out);
-  bool serves(const Decision& decision, Figures& out);
+  bool serves(const Decision& decision, Figures& out, const Until& until);
   [[nodiscard]] bool as_before(const Decision& decision, int xpu, const Figures& out) const;
   bool deepen_pads(const Decision& decision, Figures& out);
   bool set_costs(Figures& out, const Until& until) const;

@@ -50,10 +50,11 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
       for (int n = 0; n < c.jobs; ++n)
         phase_[at(p_.slot[at(i)] + n - base_)] = c.phase % hyper_ + n * c.period;
     }
-    left_.resize(ix(jobs_ * rounds_));
-    start_.resize(left_.size());
-    finish_.resize(left_.size());
-    waits_.resize(left_.size());
+    const std::size_t jobs = std::max(left_.size(), ix(jobs_ * rounds_));
+    left_.resize(jobs);
+    start_.resize(jobs);
+    finish_.resize(jobs);
+    waits_.resize(jobs);
     first_waits_.resize(ix(jobs_));
     next_.resize(at(p_.num_xnodes));
     xpus_.resize(at(p_.num_xpus));
@@ -65,7 +66,7 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
       module_base_[m] = total;
       total += c.jobs * rounds_;
     }
-    in_module_.resize(ix(total));
+    in_module_.resize(std::max(in_module_.size(), ix(total)));
   }
   events_.clear();
   done_.assign(ix(rounds_), 0);

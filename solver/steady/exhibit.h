@@ -10,6 +10,8 @@
 // bound decides whether the XPU can serve all of them.
 #pragma once
 
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include "solver/steady/problem.h"
@@ -40,7 +42,21 @@ struct Schedule {
 /// Simulates again and again without allocating.
 class Exhibitor {
  public:
-  explicit Exhibitor(const Problem& problem) : p_(problem) {}
+  /// What a run needs only while it lasts, as large as the largest domain needs it: for several
+  /// exhibitors that take turns.
+  struct Scratch {
+    std::vector<std::int16_t> waits;        ///< [job] things that it waits for
+    std::vector<Tick> left, start, finish;  ///< [job]
+    std::vector<std::int64_t> in_module;    ///< [module offset + activation] XNodes not yet done
+  };
+  Exhibitor(const Problem& problem, std::shared_ptr<Scratch> scratch)
+      : p_(problem),
+        scratch_(std::move(scratch)),
+        waits_(scratch_->waits),
+        left_(scratch_->left),
+        start_(scratch_->start),
+        finish_(scratch_->finish),
+        in_module_(scratch_->in_module) {}
 
   /// False: it did not repeat within the limits, or `until` was over. `schedule` is large enough.
   [[nodiscard]] bool run(int domain, const Rule& rule, Schedule& schedule, const Until& until = {});
@@ -86,12 +102,14 @@ class Exhibitor {
   std::int64_t jobs_ = 0;  ///< per hyperperiod; job = round * jobs_ + slot - base_
   std::int64_t rounds_ = 0, prepared_ = 0, equal_ = 0;
   bool useless_ = false;
-  std::vector<Tick> phase_;         ///< [slot - base] nominal release within a hyperperiod
-  std::vector<Event> events_;       ///< a heap, earliest on top
-  std::vector<std::int64_t> next_;  ///< [xnode] the next activation that its timer releases
-  std::vector<std::int16_t> waits_, first_waits_;  ///< [job] things that it waits for
-  std::vector<Tick> left_, start_, finish_;        ///< [job]
-  std::vector<std::int64_t> in_module_;  ///< [module offset + activation] XNodes not yet done
+  std::vector<Tick> phase_;                ///< [slot - base] nominal release within a hyperperiod
+  std::vector<Event> events_;              ///< a heap, earliest on top
+  std::vector<std::int64_t> next_;         ///< [xnode] the next activation that its timer releases
+  std::vector<std::int16_t> first_waits_;  ///< [slot - base]
+  std::shared_ptr<Scratch> scratch_;
+  std::vector<std::int16_t>& waits_;
+  std::vector<Tick>&left_, &start_, &finish_;
+  std::vector<std::int64_t>& in_module_;
   std::vector<std::int64_t> module_base_;
   std::vector<std::int64_t> done_;  ///< [round]
   std::vector<Xpu> xpus_;

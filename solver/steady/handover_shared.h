@@ -337,7 +337,7 @@ class Cluster {
         if (apart + error + deepest < from) break;
         if (apart + error + w.a[slot] < from) continue;
         if (apart - error + w.d[slot] >= to) continue;
-        if (k <= n && p_.component_of[at(i)] == p_.component_of[at(z)] && p_.before(i, z)) continue;
+        if (k <= n && p_.before(i, z)) continue;
         sum += work;
       }
     }

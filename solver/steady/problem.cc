@@ -282,14 +282,22 @@ struct Builder {
   }
 
   void set_reach() const {
-    const std::size_t words = (at(p.num_xnodes) + 63) / 64;
-    p.reach.assign(at(p.num_xnodes), std::vector<std::uint64_t>(words, 0));
-    for (const Component& c : p.components)
-      for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i)
+    p.place.resize(at(p.num_xnodes));
+    p.reach.resize(at(p.num_xnodes));
+    for (const Component& c : p.components) {
+      const std::size_t words = (c.xnodes.size() + 63) / 64;
+      for (std::size_t k = 0; k < c.xnodes.size(); ++k)
+        p.place[at(c.xnodes[k])] = static_cast<int>(k);
+      for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i) {
+        std::vector<std::uint64_t>& behind = p.reach[at(*i)];
+        behind.assign(words, 0);
         for (const Link& s : p.succ[at(*i)]) {
-          p.reach[at(*i)][at(s.xnode / 64)] |= std::uint64_t{1} << (s.xnode % 64);
-          for (std::size_t w = 0; w < words; ++w) p.reach[at(*i)][w] |= p.reach[at(s.xnode)][w];
+          const int k = p.place[at(s.xnode)];
+          behind[at(k / 64)] |= std::uint64_t{1} << (k % 64);
+          for (std::size_t w = 0; w < words; ++w) behind[w] |= p.reach[at(s.xnode)][w];
         }
+      }
+    }
   }
 
   Status set_modules() const {

@@ -118,7 +118,9 @@ struct Problem {
   std::vector<char> urgent;                   ///< [xnode] hears of its component's urgent source
   bool any_urgent = false;
   std::vector<Chain> chains;
-  std::vector<std::vector<std::uint64_t>> reach;  ///< [xnode] bitset: XNodes behind it by edges
+  std::vector<int> place;  ///< [xnode] among the XNodes of its component
+  std::vector<std::vector<std::uint64_t>>
+      reach;  ///< [xnode] bitset of places: who is behind it by edges
 
   std::vector<int> slot;        ///< [xnode] the first of its jobs
   std::vector<int> jobs;        ///< [xnode] how many
@@ -144,7 +146,8 @@ struct Problem {
     return static_cast<std::size_t>(slot[at(xnode)] + (n < 0 ? n + jobs[at(xnode)] : n));
   }
   [[nodiscard]] bool before(int a, int b) const {  ///< b needs a, by edges
-    return ((reach[at(a)][at(b / 64)] >> (b % 64)) & 1U) != 0;
+    return component_of[at(a)] == component_of[at(b)] &&
+           ((reach[at(a)][at(place[at(b)] / 64)] >> (place[at(b)] % 64)) & 1U) != 0;
   }
   /// What the message of `link` costs from `from_xpu` to `to_xpu`.
   [[nodiscard]] Tick transfer(const Link& link, int from_xpu, int to_xpu) const {

@@ -238,7 +238,7 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
   if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
     for (int k = 0; k < 3; ++k)
       if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.until)) break;
-    if (certify(p_, candidate.decision.xpu, candidate.figures.w)) {
+    if (certify(p_, candidate.decision.xpu, candidate.figures.w, nullptr, limits_.certify_until)) {
       best_ = candidate;
       on_better(best_);
       proven_ = true;
@@ -271,6 +271,7 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
           Candidate c;
           c.decision = constructed(*prices, greed, rule, charge);
           for (const double part : parts) {
+            if (over() && best_.figures.cost < 1e18) return;
             spread_windows(c.decision, part);
             evaluate(c);
             take(c, on_better);

@@ -28,6 +28,7 @@ enum class Keep {
 
 struct SearchLimits {
   Until until;
+  Until certify_until;               ///< later: what was found in time is certified
   std::int64_t max_evaluations = 0;  ///< 0: no limit
   /// Another thread's answer in place of one that is worse; may be empty.
   std::function<void(Candidate&)> exchange;

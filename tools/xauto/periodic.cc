@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <iostream>
+#include <unordered_map>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -377,50 +379,69 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
   return outputs.status(never ? kAnswerIsNo : kDone);
 }
 
-/// The whole way of a chain's worst path. The check names where it enters and leaves each
-/// component; inside one it is whichever predecessor has its key last, since that is what the next
-/// waits for.
-std::vector<int> whole_path(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
-                            const ChainSpec& chain, const std::vector<std::string>& path) {
-  const auto succ = app.successors();
-  const std::vector<int> order = app.topological_order();
-  const auto type = [&](int i) { return platform.xpus[at(policy.placements[at(i)].xpu)].type; };
-  const auto ready = [&](int e, int v) {  // after its predecessor along edge e
-    const int u = app.edges[at(e)].first;
-    const auto& keys = policy.placements[at(u)].key_us;
-    std::int64_t us = *std::max_element(keys.begin(), keys.end());
-    for (const TransferSpec& t : app.transfers)
-      if (t.edge == e && t.from_type == type(u) && t.to_type == type(v)) us += t.transfer_us;
-    return us;
-  };
-  std::vector<int> whole;
-  for (std::size_t k = 1; k + 1 < path.size(); k += 2) {
-    std::vector<char> reached(app.xnodes.size(), 0);
-    for (std::size_t i = 0; i < app.xnodes.size(); ++i)
-      if (k > 1 ? app.xnodes[i].name == path[k]
-                : std::count(app.xnodes[i].sources.begin(), app.xnodes[i].sources.end(),
-                             chain.from) > 0)
-        reached[i] = 1;
-    for (const int x : order)
-      if (reached[at(x)])
-        for (const int v : succ[at(x)]) reached[at(v)] = 1;
-    std::vector<int> back;
-    for (int at_x = app.find(path[k + 1]); at_x >= 0;) {
-      back.push_back(at_x);
-      int next = -1;
-      std::int64_t last = -1;
-      for (std::size_t e = 0; e < app.edges.size(); ++e) {
-        const auto [u, v] = app.edges[e];
-        if (v != at_x || !reached[at(u)]) continue;
-        const std::int64_t us = ready(static_cast<int>(e), v);
-        if (us > last) last = us, next = u;
-      }
-      at_x = next;
+/// The whole ways of chains' worst paths. The check names where one enters and leaves each component;
+/// inside one it is whichever predecessor has its key last, since that is what the next waits for.
+class WholePaths {
+ public:
+  WholePaths(const AppSpec& app, const Platform& platform, const KeyPolicy& policy)
+      : succ_(app.successors()),
+        into_(app.xnodes.size()),
+        of_source_(app.sources.size()),
+        reached_(app.xnodes.size(), 0) {
+    for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+      number_[app.xnodes[i].name] = static_cast<int>(i);
+      for (const int source : app.xnodes[i].sources)
+        of_source_[at(source)].push_back(static_cast<int>(i));
     }
-    whole.insert(whole.end(), back.rbegin(), back.rend());
+    const auto type = [&](int i) { return platform.xpus[at(policy.placements[at(i)].xpu)].type; };
+    std::vector<std::int64_t> transfer_us(app.edges.size(), 0);
+    for (const TransferSpec& t : app.transfers) {
+      const auto [u, v] = app.edges[at(t.edge)];
+      if (t.from_type == type(u) && t.to_type == type(v)) transfer_us[at(t.edge)] += t.transfer_us;
+    }
+    for (std::size_t e = 0; e < app.edges.size(); ++e) {
+      const auto [u, v] = app.edges[e];
+      const auto& keys = policy.placements[at(u)].key_us;
+      into_[at(v)].push_back({u, *std::max_element(keys.begin(), keys.end()) + transfer_us[e]});
+    }
   }
-  return whole;
-}
+
+  /// `path`: source, then first and last XNode of each component.
+  [[nodiscard]] std::vector<int> of(const ChainSpec& chain, const std::vector<std::string>& path) {
+    std::vector<int> whole;
+    for (std::size_t k = 1; k + 1 < path.size(); k += 2) {
+      std::vector<int> seen = k > 1 ? std::vector{number_.at(path[k])} : of_source_[at(chain.from)];
+      for (const int i : seen) reached_[at(i)] = 1;
+      for (std::size_t n = 0; n < seen.size(); ++n)
+        for (const int v : succ_[at(seen[n])])
+          if (!std::exchange(reached_[at(v)], 1)) seen.push_back(v);
+      std::vector<int> back;
+      for (int x = number_.at(path[k + 1]); x >= 0;) {
+        back.push_back(x);
+        std::int64_t last = -1;
+        int next = -1;
+        for (const Ready& ready : into_[at(x)])
+          if (reached_[at(ready.after)] && ready.us > last) last = ready.us, next = ready.after;
+        x = next;
+      }
+      for (const int i : seen) reached_[at(i)] = 0;
+      whole.insert(whole.end(), back.rbegin(), back.rend());
+    }
+    return whole;
+  }
+
+ private:
+  struct Ready {
+    int after;  ///< its predecessor
+    std::int64_t us;
+  };
+
+  std::vector<std::vector<int>> succ_;
+  std::vector<std::vector<Ready>> into_;     ///< [XNode]
+  std::vector<std::vector<int>> of_source_;  ///< [source] XNodes that it releases
+  std::unordered_map<std::string, int> number_;
+  std::vector<char> reached_;  ///< [XNode] all 0 between two chains
+};
 
 /// Of chain `c` of the report: source, then every XNode on its worst path.
 std::vector<std::string> names_on_path(const AppSpec& app, const std::vector<int>& whole,
@@ -447,8 +468,9 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
     most = std::max(most, part);
   }
   std::vector<std::vector<int>> ways;  // [chain]
+  WholePaths whole(app, platform, policy);
   for (std::size_t c = 0; c < report.chains.size(); ++c)
-    ways.push_back(whole_path(app, platform, policy, app.chains[c], report.chains[c].path));
+    ways.push_back(whole.of(app.chains[c], report.chains[c].path));
   const std::vector<int> on_path = ways.empty() ? std::vector<int>() : ways[worst];
   steady::Options asked;
   asked.time_limit_s = moves_s;
@@ -507,9 +529,9 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
                                    ms(*chain.deadline_us)));
   const int status = missed.empty() ? kDone : kAnswerIsNo;
   std::vector<std::vector<std::string>> paths;  // [chain]
+  WholePaths whole(app, platform, policy);
   for (std::size_t c = 0; c < report->chains.size(); ++c)
-    paths.push_back(names_on_path(
-        app, whole_path(app, platform, policy, app.chains[c], report->chains[c].path), c));
+    paths.push_back(names_on_path(app, whole.of(app.chains[c], report->chains[c].path), c));
   if (options.json) {
     root["missed"] = missed;
     root["lies"] = Json::array();

@@ -80,6 +80,14 @@ TEST(Json, LargeAppRoundTrips) {
   EXPECT_EQ(to_json(*again), text);
 }
 
+// nlohmann's callback parser looks at all of a list for each object in it: hours for this one.
+TEST(Json, AListOfAMillionObjectsIsReadAtOnce) {
+  std::string list = R"(,"extra":[{})";
+  for (int i = 1; i < 1'000'000; ++i) list += ",{}";
+  const auto app = parse_app(app_text(list + "]"), "a.json");
+  EXPECT_TRUE(app) << app.error().to_string();
+}
+
 TEST(Json, PolicyMayListXNodesInAnyOrder) {
   const Platform platform = Platform::builtin("small").value();
   AppSpec app = parse_app(app_text(""), "a.json").value();
