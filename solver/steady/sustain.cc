@@ -7,6 +7,8 @@
 namespace xauto::solver::steady {
 namespace {
 
+constexpr std::size_t kMostCauses = 8;
+
 /// [xnode * types + type] work there; kNoTick: it cannot be there.
 std::vector<Tick> work_by_type(const Problem& p) {
   std::vector<Tick> work(at(p.num_xnodes) * at(p.num_types), kNoTick);
@@ -69,8 +71,17 @@ Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module
   return longest;
 }
 
-/// Load, and spans of modules, together: whoever is slow where the load is low may be too long for
-/// his module.
+/// Those with the largest shares, in tenths of a percent.
+void keep_causes(std::vector<std::pair<int, double>> shares, Overload& proof) {
+  std::stable_sort(shares.begin(), shares.end(),
+                   [](const auto& a, const auto& b) { return a.second > b.second; });
+  if (shares.size() > kMostCauses) shares.resize(kMostCauses);
+  for (const auto& [i, share] : shares)
+    if (share > 0) proof.causes.emplace_back(i, std::llround(share * 1000));
+}
+
+/// Load, and spans of modules, together: an XNode that is slow where the load is low may be too long for
+/// its module.
 class Crowd {
  public:
   explicit Crowd(const Problem& p) : p_(p), types_(at(p.num_types)), count_(instances(p)) {
@@ -111,6 +122,30 @@ class Crowd {
     std::vector<std::int64_t> whole;
     for (const double x : best) whole.push_back(std::llround(x * kWeights * 16));
     return whole;
+  }
+
+  /// [xnode] of the value of these prices.
+  [[nodiscard]] std::vector<std::pair<int, double>> shares(
+      const std::vector<std::int64_t>& w) const {
+    double sum = 0;
+    for (const std::int64_t x : w) sum += static_cast<double>(x);
+    std::vector<double> part(w.size());
+    for (std::size_t k = 0; k < w.size(); ++k) part[k] = static_cast<double>(w[k]) / sum;
+    std::vector<std::pair<int, double>> of;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      const int way = way_[at(i)];
+      double least = -1;
+      for (std::size_t t = 0; t < types_; ++t) {
+        if (work_[at(i) * types_ + t] == kNoTick) continue;
+        const auto c = static_cast<double>(work_[at(i) * types_ + t]);
+        const double cost =
+            c * part[t] / static_cast<double>(p_.period_of(i)) / static_cast<double>(count_[t]) +
+            (way < 0 ? 0 : c * part[types_ + at(way)] / static_cast<double>(room_[at(way)]));
+        if (least < 0 || cost < least) least = cost;
+      }
+      of.emplace_back(i, least);
+    }
+    return of;
   }
 
   /// floor(value * 10^6) in integers; above 10^6 no assignment serves all.
@@ -289,15 +324,17 @@ std::optional<Overload> prove_crowd(const Problem& p) {
   const auto types = static_cast<std::ptrdiff_t>(p.num_types);
   std::vector<std::int64_t> on_types(prices.begin(), prices.begin() + types);
   Overload proof;
+  proof.load_pct = ppm / (kMillion / 100);
   proof.text = name_of(p, on_types) + " and modules that have to end within their activations in " +
-               "flight, together at least " + std::to_string(ppm / (kMillion / 100)) + " %";
-  for (std::size_t m = 0, way = 0; m < p.modules.size(); ++m) {
-    const Module& module = p.modules[m];
+               "flight, together at least " + std::to_string(proof.load_pct) + " %";
+  proof.weights = std::move(on_types);
+  std::size_t way = 0;
+  for (const Module& module : p.modules) {
     if (module.in_flight > kMostTicks / p.components[at(module.component)].period) continue;
-    if (prices[at(p.num_types) + way++] * 100 > kWeights * 16)
-      for (const int i : module.xnodes)
-        if (proof.causes.size() < 8) proof.causes.emplace_back(i, 0);
+    if (const std::int64_t price = prices[at(p.num_types) + way++]; price > 0)
+      proof.module_weights.emplace_back(module.xnodes.front(), price);
   }
+  keep_causes(crowd.shares(prices), proof);
   return proof;
 }
 
@@ -326,7 +363,11 @@ std::optional<Overload> prove_overload(const Problem& p) {
       proof.text = "an activation is in the module of XNode '" + p.xnode_name[at(e)] +
                    "' for at least " + us(p, takes) + ", " + std::to_string(module.in_flight) +
                    " in flight allow " + us(p, module.in_flight * period);
-      for (const int i : module.xnodes) proof.causes.emplace_back(i, 0);
+      std::vector<std::pair<int, double>> shares;
+      for (const int i : module.xnodes)
+        shares.emplace_back(
+            i, static_cast<double>(least[at(i)]) / static_cast<double>(module.in_flight * period));
+      keep_causes(std::move(shares), proof);
       return proof;
     }
   }
@@ -348,6 +389,7 @@ std::optional<Overload> prove_overload(const Problem& p) {
   const std::vector<std::int64_t> count = instances(p);
   std::int64_t sum = 0;
   for (const std::int64_t w : weights) sum += w;
+  std::vector<std::pair<int, double>> shares;
   for (int i = 0; i < p.num_xnodes; ++i) {
     double cheapest = -1;
     for (std::size_t t = 0; t < weights.size(); ++t) {
@@ -358,12 +400,9 @@ std::optional<Overload> prove_overload(const Problem& p) {
                             static_cast<double>(sum));
       if (cheapest < 0 || share < cheapest) cheapest = share;
     }
-    proof.causes.emplace_back(i, std::llround(cheapest * 1000));
+    shares.emplace_back(i, cheapest);
   }
-  std::sort(proof.causes.begin(), proof.causes.end(),
-            [](const auto& a, const auto& b) { return a.second > b.second; });
-  std::erase_if(proof.causes, [](const auto& cause) { return cause.second <= 0; });
-  if (proof.causes.size() > 8) proof.causes.resize(8);
+  keep_causes(std::move(shares), proof);
   return proof;
 }
 

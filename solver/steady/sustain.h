@@ -26,9 +26,11 @@
 namespace xauto::solver::steady {
 
 struct Overload {
-  std::string text;                                  ///< "gpu at least 112 %"
-  std::int64_t load_pct = 0;                         ///< rounded down; 0: not by load
-  std::vector<std::int64_t> weights;                 ///< [type]; empty: not by load
+  std::string text;           ///< "gpu at least 112 %"
+  std::int64_t load_pct = 0;  ///< of load, or of load and spans; rounded down; 0: of a span alone
+  std::vector<std::int64_t> weights;  ///< [type]; empty: of a span alone
+  /// An XNode of the module, its price: where load and spans prove it together.
+  std::vector<std::pair<int, std::int64_t>> module_weights = {};
   std::vector<std::pair<int, std::int64_t>> causes;  ///< XNode, its share in tenths of a percent
 };
 

@@ -24,6 +24,8 @@ namespace {
 
 namespace steady = solver::steady;
 
+constexpr std::size_t kMostPrices = 12;  ///< of modules in one line
+
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
 }
@@ -240,25 +242,33 @@ int tell_unsustainable(const AppSpec& app, const Platform& platform, const stead
     weights[types[t].c_str()] = proof.weights[t];
     prices += fmt::format("{}{} {}", prices.empty() ? "" : ", ", types[t], proof.weights[t]);
   }
+  Json of_modules = Json::object();
+  for (const auto& [xnode, price] : proof.module_weights) {
+    const std::string& module = app.xnodes[static_cast<std::size_t>(xnode)].module;
+    of_modules[module.c_str()] = price;
+    if (proof.module_weights.size() <= kMostPrices)
+      prices += fmt::format(", module {} {}", module, price);
+  }
   if (options.json) {
-    std::cout << Json{{"schema", "xauto.unsustainable"},
-                      {"version", 1},
-                      {"app", app.name},
-                      {"platform", platform.name},
-                      {"proof", proof.text},
-                      {"load_pct", proof.load_pct},
-                      {"weights", std::move(weights)},
-                      {"causes", std::move(causes)}}
-                     .dump(2)
-              << "\n";
+    Json told = {{"schema", "xauto.unsustainable"},
+                 {"version", 1},
+                 {"app", app.name},
+                 {"platform", platform.name},
+                 {"proof", proof.text},
+                 {"load_pct", proof.load_pct},
+                 {"weights", std::move(weights)},
+                 {"causes", std::move(causes)}};
+    if (!proof.module_weights.empty()) told["module_weights"] = std::move(of_modules);
+    std::cout << told.dump(2) << "\n";
     return kAnswerIsNo;
   }
   std::cout << fmt::format("{} on {}: no policy keeps up: {}\n\n", app.name, platform.name,
                            proof.text);
   if (!list.empty()) std::cout << "  most of it is\n" << list;
   if (!prices.empty())
-    std::cout << "\n  proof: these weights of the XPU types (" << prices
-              << "), each XNode on its cheapest type\n";
+    std::cout << "\n  proof: these weights (" << prices << "), each XNode on its cheapest type"
+              << (proof.module_weights.size() > kMostPrices ? "; --json has those of modules" : "")
+              << "\n";
   return kAnswerIsNo;
 }
 

@@ -320,21 +320,22 @@ TEST(SteadySolve, AHintNeedNotKnowAllXNodes) {
 /// 4000 chains of five XNodes on `clocks` clocks, and 64 CPUs that all of them share.
 AppSpec huge_app(int clocks) {
   constexpr int kChains = 4000, kLength = 5;
-  constexpr std::int64_t kPeriodsUs[] = {33'333, 50'000, 100'000, 20'000};
+  constexpr int kPeriodsUs[] = {33'333, 50'000, 100'000, 20'000};
+  solver::test::Dice dice(1);
   AppSpec app;
   app.version = 2;
   app.name = "huge";
   for (int k = 1; k < clocks; ++k) app.clocks.push_back({"k" + std::to_string(k), 100});
   for (int c = 0; c < kChains; ++c) {
     const std::string name = std::to_string(c);
-    const std::int64_t period_us = kPeriodsUs[c / clocks % 4];
+    const int period_us = kPeriodsUs[dice.roll(0, 3)];
     app.sources.push_back({.name = "s" + name, .period = {period_us, 1}, .clock = c % clocks});
     app.modules.push_back({"m" + name});
     for (int i = 0; i < kLength; ++i) {
       XNodeSpec xnode;
       xnode.name = "x" + name + "_" + std::to_string(i);
       xnode.module = "m" + name;
-      xnode.wcet_us = {{"cpu", 1 + period_us / 2000}};
+      xnode.wcet_us = {{"cpu", dice.roll(period_us / 2000, period_us * 3 / 2000)}};
       if (i == 0) xnode.sources = {c};
       app.xnodes.push_back(std::move(xnode));
       const int last = static_cast<int>(app.xnodes.size()) - 1;
@@ -358,10 +359,10 @@ TEST(SteadySolve, NoSizeBreaksTheTimeLimit) {
   };
   for (const int clocks : {1, 2, 8}) {
     Options options;
-    options.time_limit_s = 0.5;
+    options.time_limit_s = 0.2;
     const double began = cpu_s();
     const Result<Answer> answer = solve(huge_app(clocks), platform, options);
-    EXPECT_LT(cpu_s() - began, 1.5 * (1.3 * options.time_limit_s + 1)) << clocks << " clocks";
+    EXPECT_LT(cpu_s() - began, 1.3 * options.time_limit_s + 1) << clocks << " clocks";
     ASSERT_TRUE(answer) << answer.error().to_string();
   }
 }
