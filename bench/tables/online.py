@@ -389,8 +389,9 @@ def elsewhere(case, report, policy):
     tables = json.loads((case.folder / policy).read_text())
     xpu_of = {t["name"]: {x["name"]: x["xpu"] for x in t["xnodes"]} for t in tables["tables"]}
     changes = sorted((s["release"], s["table"]) for s in report["switches"])
-    if len(changes) != report["num_switches"]:
-        raise RuntimeError(f"the report tells {len(changes)} of {report['num_switches']} changes")
+    if len(changes) != report["num_switches"] or report["trace_events_overwritten"] > 0:
+        raise RuntimeError(f"the report tells {len(changes)} of {report['num_switches']} changes; the trace lacks "
+                           f"{report['trace_events_overwritten']} events")
     jobs, wrong = set(), []
     for s in pftrace.Trace((case.folder / "t.pftrace").read_bytes()).slices:
         if s.category != "run":
@@ -407,7 +408,7 @@ def elsewhere(case, report, policy):
 def deaths(case, options):
     from common import children_of
     case.deploy(defaults={"isolate": True, "restarts": 1_000_000})
-    period = () if case.own_rates else ("--period-us", 66_000, "--trace-out", "t.pftrace")
+    period = () if case.own_rates else ("--period-us", 66_000, "--trace-out", "t.pftrace", "--trace-keep", "1h")
     case.solve("three.json", [*SLOWER, {"name": "no DLA", "lost": ["dla0"]}], 3)
     draw = random.Random(options.seed)
     names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
@@ -437,7 +438,7 @@ def deaths(case, options):
             if took is None:
                 hung += 1
                 break
-            waits.append(took)
+            waits.append((took, family[pid]))
             wrong += case.mode()["now"] not in covering[asked]
             left, coordinators = stay_suspended(case)
             stuck += sorted(left)
@@ -447,9 +448,11 @@ def deaths(case, options):
     result = {"deaths": sum(killed.values()), "by_name": killed, "hung": hung, "another_scenario_than_asked": wrong,
               "stay_suspended": stuck, "fewest_coordinators_that_told": min(told, default=None),
               "table_changes": tables_changed(report["switches"]) if report else None,
-              "traced_jobs": jobs, "jobs_on_another_xpu": other,
-              "longest_until_all_modules_go_on_s": round(max(waits, default=0), 2),
-              "median_s": round(statistics.median(waits), 2) if waits else None,
+              "activations": report["activations"] if report else None, "lost": report["lost_activations"] if report else None,
+              "trace_events_lost": report["trace_events_lost"] if report else None, "traced_jobs": jobs, "jobs_on_another_xpu": other,
+              "longest_until_all_modules_go_on_s": round(max(waits, default=(0, ""))[0], 2),
+              "median_s": round(statistics.median(took for took, _ in waits), 2) if waits else None,
+              "slowest": [(round(took, 2), name) for took, name in sorted(waits)[-10:]],
               "switches": report["num_switches"] if report else None, "notes": report["notes"][:3] if report else None}
     print(f"  deaths{' (keys)' if case.own_rates else ''}    {result['deaths']}, {hung} hung, {wrong} times another scenario than asked for; all modules had three more "
           f"results after {result['median_s']} s (median), {result['longest_until_all_modules_go_on_s']} s at most; {len(stuck)} jobs stay "
