@@ -3,9 +3,11 @@
 """What tables do while the Driving Case runs on emulated XPUs. Parts, each a number of docs/modes.md:
 
     throttle    the GPU falls to half of its clock: one policy and tables in turn, several rounds; and how long it takes
-                from the moment when the first job passes its WCET to the first release that has another table
+                from the moment when the first job passes its WCET to the first release that has another table; and how
+                many releases miss a deadline that tables can keep at half of the clock
     switches    people ask for another scenario again and again: lost releases, and those longer than their worst case
-    deaths      the same in processes of their own, one of which is killed at a random moment around each wish
+    deaths      the same in processes of their own, one of which is killed at a random moment around each wish; whether
+                each job ran where its release's table has it, and whether anything stays suspended
     violations  clocks and a mode of no scenario, a job longer than every scenario has it: how long until it is said
 
 One more is in a guest that keeps time (bench/guest.py, 1 ns an instruction), and runs when it is named:
@@ -23,6 +25,7 @@ Five more are of tables of keys, with the case's three rates by one clock; they 
     bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-shared key-gated key-deaths]
 """
 import argparse
+import bisect
 import contextlib
 import json
 import os
@@ -40,6 +43,7 @@ sys.path.insert(0, str(SOURCE / "tests/integration"))
 APP = SOURCE / "examples/driving/app.json"
 STEADY = SOURCE / "examples/driving/steady.json"
 QUEUES = {"queue_depth": 256, "keep": 256, "defaults": {"overload": "queue:256"}}
+DEADLINE_PCT = 106  # of the worst case: XAuto and the emulator take 3 % of a release themselves
 STALL_NS = 1_000_000  # kEmulatorStallUs: such a job shows no other clock
 MARGIN_PCT = 115
 KEY_MARGIN_PCT = 130
@@ -102,8 +106,9 @@ class Case:
 
     def xauto(self, *words):
         done = subprocess.run([self.options.bin + "/xauto", *map(str, words)], cwd=self.folder, capture_output=True, text=True)
-        # 1: a change of keys may miss a deadline, and the tables are written all the same.
-        if done.returncode != 0 and not (self.own_rates and words[0] == "solve" and done.returncode == 1):
+        # 1: a change may miss a deadline, and the tables are written all the same.
+        may_miss = words[0] == "solve" and (self.own_rates or self.part == "throttle")
+        if done.returncode != 0 and not (may_miss and done.returncode == 1):
             raise RuntimeError(f"xauto {' '.join(map(str, words))}: status {done.returncode}\n{done.stdout}{done.stderr}")
         return done.stdout
 
@@ -186,17 +191,36 @@ def reaction(case, report):
     return came[change["release"]] - min(passed), change["held_us"] * 1000
 
 
+def misses(case, report):
+    """Releases that were longer than the deadline: those that met a change of tables, and others."""
+    import pftrace
+    trace = pftrace.Trace((case.folder / "t.pftrace").read_bytes())
+    missed = {s.args["release"] for s in trace.slices if s.category == "release" and s.args.get("deadline") == "missed"}
+    if len(missed) != report["deadline_misses"]:
+        raise RuntimeError(f"the trace has {len(missed)} missed deadlines, and the report {report['deadline_misses']}")
+    met = missed & {s["release"] - 1 for s in report.get("switches", [])}
+    return {"met_a_change": len(met), "others": len(missed - met)}
+
+
 def throttle(case, options):
     period_us = 66_000
+    case.app.pop("deadline_us", None)
+    case.write("app.json", case.app)
+    case.solve("two.json", SLOWER)
+    serves = json.loads((case.folder / "two.json").read_text())["serves"]
+    half_us = next(s["worst_case_us"] for s in serves if s["scenario"] == SLOWER[1]["name"])
+    case.app["deadline_us"] = half_us * DEADLINE_PCT // 100
+    case.write("app.json", case.app)
     case.solve("one.json")
     case.solve("two.json", SLOWER)
     case.script({"at_us": 1_000_000, "speed_pct": {"gpu": 50}})
-    rows, reactions = {"one": [], "two": []}, []
+    rows, reactions, missed = {"one": [], "two": []}, [], {"one": [], "two": []}
     for _ in range(options.rounds):
         for policy in rows:
             report = case.run(f"{policy}.json", "--emulate-script", "script.json", "--period-us", period_us, "--activations",
                               options.releases, "--trace-out", "t.pftrace")
             rows[policy].append(report)
+            missed[policy].append(misses(case, report))
             if policy == "two" and (took := reaction(case, report)):
                 reactions.append(took)
     result = {"rounds": options.rounds, "releases": options.releases, "period_us": period_us}
@@ -207,6 +231,12 @@ def throttle(case, options):
         result[key] = {"one": medians[0], "two": medians[1], "ratio": round(medians[0] / medians[1], 3)}
         print(f"  throttle  {key[:-3]:4} one policy {medians[0] / 1000:7.2f} ms   tables {medians[1] / 1000:7.2f} ms"
               f"   {medians[0] / medians[1]:.2f} times; medians of {options.rounds} runs of {options.releases} releases each")
+    result["deadline_us"], result["missed"] = case.app["deadline_us"], missed
+    result["broken"] = {policy: [r.get("worst_case_broken", []) for r in reports] for policy, reports in rows.items()}
+    for policy, name in (("one", "one policy"), ("two", "tables")):
+        others, met = (sum(m[kind] for m in missed[policy]) for kind in ("others", "met_a_change"))
+        print(f"  throttle  deadline {case.app['deadline_us'] / 1000:.2f} ms, missed by {name}: {others}, and {met} that met a change, of "
+              f"{options.rounds * options.releases}")
     result["reactions_ns"] = reactions
     late = [took - held - period_us * 1000 for took, held in reactions]
     result["later_than_period_and_delay"] = sum(ns > 0 for ns in late)
@@ -334,15 +364,56 @@ def tables_changed(changes):
     return sum(a["table"] != b["table"] for a, b in zip(changes, changes[1:]))
 
 
+def suspended(case):
+    """(XPU, XNode, its job) of all that are; and how many coordinators told."""
+    sessions = json.loads(case.xauto("status", "--json"))["sessions"]
+    xpus = [xpu for run, of in sessions.items() if run.endswith(f"/{case.tool.pid}-0") for xpu in of]
+    return {(xpu["xpu"], w["xnode"], w["job"]) for xpu in xpus for w in xpu["workers"] if w["state"] == "suspended"}, len(xpus)
+
+
+def stay_suspended(case):
+    """What is suspended for longer than three periods; and the fewest coordinators that told."""
+    always, fewest = None, None
+    for look in range(3):
+        if look:
+            time.sleep(0.12)
+        now, told = suspended(case)
+        always = now if always is None else always & now
+        fewest = told if fewest is None else min(fewest, told)
+    return always, fewest
+
+
+def elsewhere(case, report, policy):
+    """By the trace: jobs in all, and those on another XPU than their release's table has them on."""
+    import pftrace
+    tables = json.loads((case.folder / policy).read_text())
+    xpu_of = {t["name"]: {x["name"]: x["xpu"] for x in t["xnodes"]} for t in tables["tables"]}
+    changes = sorted((s["release"], s["table"]) for s in report["switches"])
+    if len(changes) != report["num_switches"] or report["trace_events_overwritten"] > 0:
+        raise RuntimeError(f"the report tells {len(changes)} of {report['num_switches']} changes; the trace lacks "
+                           f"{report['trace_events_overwritten']} events")
+    jobs, wrong = set(), []
+    for s in pftrace.Trace((case.folder / "t.pftrace").read_bytes()).slices:
+        if s.category != "run":
+            continue
+        job = (s.name.split(" ")[0], s.args["release"])
+        at = bisect.bisect_right(changes, job[1], key=lambda change: change[0])
+        table = changes[at - 1][1] if at else tables["serves"][0]["table"]
+        jobs.add(job)
+        if s.track != "run/" + xpu_of[table][job[0]]:
+            wrong.append((*job, s.track, table))
+    return len(jobs), wrong
+
+
 def deaths(case, options):
     from common import children_of
     case.deploy(defaults={"isolate": True, "restarts": 1_000_000})
-    period = () if case.own_rates else ("--period-us", 66_000)
+    period = () if case.own_rates else ("--period-us", 66_000, "--trace-out", "t.pftrace", "--trace-keep", "1h")
     case.solve("three.json", [*SLOWER, {"name": "no DLA", "lost": ["dla0"]}], 3)
     draw = random.Random(options.seed)
     names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
     covering = {names[0]: names, names[1]: [names[1]], names[2]: [names[2]]}
-    asked, killed, hung, wrong, waits = names[0], {}, 0, 0, []
+    asked, killed, hung, wrong, waits, stuck, told = names[0], {}, 0, 0, [], [], []
     with case.running("three.json", *period):
         while sum(killed.values()) < options.deaths and case.tool.poll() is None:
             family = {pid: name for pid, name in children_of(case.tool.pid).items()
@@ -367,15 +438,25 @@ def deaths(case, options):
             if took is None:
                 hung += 1
                 break
-            waits.append(took)
+            waits.append((took, family[pid]))
             wrong += case.mode()["now"] not in covering[asked]
+            left, coordinators = stay_suspended(case)
+            stuck += sorted(left)
+            told.append(coordinators)
     report = case.report
+    jobs, other = elsewhere(case, report, "three.json") if report and not case.own_rates else (0, [])
     result = {"deaths": sum(killed.values()), "by_name": killed, "hung": hung, "another_scenario_than_asked": wrong,
-              "longest_until_all_modules_go_on_s": round(max(waits, default=0), 2),
-              "median_s": round(statistics.median(waits), 2) if waits else None,
+              "stay_suspended": stuck, "fewest_coordinators_that_told": min(told, default=None),
+              "table_changes": tables_changed(report["switches"]) if report else None,
+              "activations": report["activations"] if report else None, "lost": report["lost_activations"] if report else None,
+              "trace_events_lost": report["trace_events_lost"] if report else None, "traced_jobs": jobs, "jobs_on_another_xpu": other,
+              "longest_until_all_modules_go_on_s": round(max(waits, default=(0, ""))[0], 2),
+              "median_s": round(statistics.median(took for took, _ in waits), 2) if waits else None,
+              "slowest": [(round(took, 2), name) for took, name in sorted(waits)[-10:]],
               "switches": report["num_switches"] if report else None, "notes": report["notes"][:3] if report else None}
     print(f"  deaths{' (keys)' if case.own_rates else ''}    {result['deaths']}, {hung} hung, {wrong} times another scenario than asked for; all modules had three more "
-          f"results after {result['median_s']} s (median), {result['longest_until_all_modules_go_on_s']} s at most")
+          f"results after {result['median_s']} s (median), {result['longest_until_all_modules_go_on_s']} s at most; {len(stuck)} jobs stay "
+          "suspended" + ("" if case.own_rates else f"; {len(other)} of {jobs} ran on another XPU than their release's table has them on"))
     return result
 
 
