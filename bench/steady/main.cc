@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // bench_steady: the cases of generate.h, or the large ones (--scale), through the solver, and beside
-// it a plain annealer, fixed priorities, rate-monotonic, first-come, and everybody on his fastest
+// it a plain annealer, fixed priorities, rate-monotonic, first-come, and everybody on its fastest
 // type. A table; with --json FILE everything that was measured.
 #include <algorithm>
 #include <cstdio>

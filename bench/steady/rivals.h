@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What else one could do with an app of version 2, played beside a policy of keys: the same
-// placement under other rules, and everybody on his fastest type.
+// placement under other rules, and everybody on its fastest type.
 #pragma once
 
 #include <string>
@@ -22,7 +22,7 @@ struct Rival {
 };
 
 /// "fixed": priorities that version 1's solver finds for one release of everything, placed as `ours`;
-/// "rm": the shorter period first; "fcfs": who is ready first; "fastest": everybody on his fastest
+/// "rm": the shorter period first; "fcfs": who is ready first; "fastest": everybody on its fastest
 /// type, shorter periods first.
 [[nodiscard]] Result<std::vector<Rival>> rivals(const AppSpec& app, const Platform& platform,
                                                 const KeyPolicy& ours);

@@ -89,7 +89,7 @@ class Arbiter {
   /// All activations of `xnode` below `count` have finished or will never come.
   void finished(std::uint32_t xnode, std::uint64_t count, std::vector<Action>& out);
 
-  /// Several events at once: between `hold` and `release` they are only noted.
+  /// Several events at once: between `begin_batch` and `end_batch` they are only noted.
   void begin_batch() { in_batch_ = true; }
   void end_batch(std::vector<Action>& out);
   /// Every job is eligible from now on. Before the first event.

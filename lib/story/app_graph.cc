@@ -148,7 +148,7 @@ class Drawing {
   }
   [[nodiscard]] int width() const { return 2 * kMargin + (columns_ + 1) * kCellAcross; }
 
-  /// Steps from the source on, along what fires; whoever samples stands behind what he reads, unless
+  /// Steps from the source on, along what fires; what samples stands behind what it reads, unless
   /// that goes in a circle.
   void place_columns() {
     cells_.resize(count_);

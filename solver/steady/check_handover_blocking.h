@@ -233,7 +233,7 @@ class Overrun {
 /// B(x, y) on an XPU of one clock, for one y and for x that fall from call to call.
 class BlocksOne {
  public:
-  /// `all` by `opens`; `whom`: who may have his key at y, or his due; `lag`: w(L).
+  /// `all` by `opens`; `whom`: who may have its key at y, or its due; `lag`: w(L).
   BlocksOne(const std::vector<InTheWay>& all, const std::vector<const Hindered*>& whom,
             WhoWaits& waits, Ticks lag, Ticks y)
       : lag_(lag) {

@@ -694,7 +694,7 @@ class Bound {
   }
 
   /// τ: from S + E on lateness falls by so much of what time passes. It is σ where nobody waits for a
-  /// message. Who does so is late by what his predecessor was, a transfer before his α: his window, w,
+  /// message. Who does so is late by what its predecessor was, a transfer before its α: its window, w,
   /// has to make up for that time, too. So it is σ w / (w + transfer) at least.
   void find_slope(int percent) {
     __int128 window = 1, transfer = 0;
@@ -841,7 +841,7 @@ class Bound {
     return around.before + r.meets_p + 1;
   }
 
-  /// Who may have his key at y, or his due.
+  /// Who may have its key at y, or its due.
   [[nodiscard]] static std::vector<const Hindered*> hindered_at(const Lane& lane,
                                                                 const Lateness& around, Ticks blur,
                                                                 Ticks y) {
@@ -881,7 +881,7 @@ class Bound {
         return std::min(sum - less, most(2 * r.blur, r.drift.ppm));
       return sum - less;
     };
-    // Just after t_lo it counts only for who may have his key there.
+    // Just after t_lo it counts only for who may have its key there.
     const bool beside = lane.overrun != nullptr && (y != around.low || lane.at_low);
     const Ticks most_beside = beside ? lane.most_beside() : 0;
     const auto look = [&](Ticks x, Ticks before) {

@@ -461,7 +461,7 @@ class Bounder {
           c.split = static_cast<int>(i);
         }
     if (c.split >= 0) return;
-    // Whom the ascent has somewhere where he meets others.
+    // What the ascent has somewhere where it meets others.
     const std::vector<Choice> open =
         open_choices(c, [&](std::size_t i, std::size_t t) { return at(type_[i]) == t; });
     const Choice* next = nullptr;
