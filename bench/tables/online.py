@@ -461,8 +461,8 @@ def deaths(case, options):
 
 
 def violations(case, options):
-    """Of each kind so many, each in a run of its own, since a run says a thing once. From the injection to the words, on stderr, as
-    this process finds them there, in periods of the releases:
+    """Of each kind so many, each in a run of its own, so that it is the first that the run says. From the injection to the words,
+    on stderr, as this process finds them there, in periods of the releases:
     clock   a file's number, written by a program, which inotify shows
     kernel  the same behind a link, whose writes inotify does not show, as the kernel's own files: it is read by the clock
     mode    a file that says another word than any scenario has
@@ -473,7 +473,7 @@ def violations(case, options):
     fine = {clock: "900\n", linked: "900\n", mode: "MAXN\n"}
     for file, text in fine.items():
         file.write_text(text)
-    # Room for what this machine's stalls make longer: the GPU at 30 % is what is looked for, and a run says a thing once.
+    # Room for what this machine's stalls make longer: the GPU at 30 % is what is looked for.
     for xnode in case.app["xnodes"]:
         xnode["wcet_us"] = {kind: us * (3 if kind == "gpu" else 20) // 2 for kind, us in xnode["wcet_us"].items()}
     case.app.pop("deadline_us", None)

@@ -97,7 +97,7 @@ enum class Why : std::uint8_t {
   kMachine,  ///< the machine's clocks are those of this scenario
   kOverrun,  ///< a job took longer than the scenario before allows
   kBack,     ///< a dwell long nothing needed more
-  kOutside,  ///< no scenario allows what was seen: this one is passed by least
+  kOutside,  ///< no scenario allows what was seen: this one covers most
   kLost,     ///< a job does not return from an XPU, which counts as lost
 };
 [[nodiscard]] const char* to_string(Why why);  ///< "asked"; of a number beyond them "?"

@@ -2,11 +2,13 @@
 #include "runtime/condition_watch.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <iterator>
 #include <set>
 #include <utility>
 
+#include <fmt/format.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/inotify.h>
@@ -17,46 +19,99 @@
 #include "base/rt.h"
 #include "base/short_file.h"
 #include "base/socket.h"
+#include "base/utf8.h"
 
 namespace xauto::runtime {
 namespace {
 
-/// nullopt: what is there cannot be compared.
-std::optional<bool> holds(const Condition& condition, std::string_view text) {
-  if (condition.equals) return text == *condition.equals;
-  const auto value = whole_number(text);
-  if (!value) return std::nullopt;
-  return (!condition.at_least || *value >= *condition.at_least) &&
-         (!condition.at_most || *value <= *condition.at_most);
+/// By how much of its limit the file passes it; 0: it holds. nullopt: what is there cannot be compared.
+std::optional<double> passed_by(const Condition& condition, std::string_view text) {
+  if (condition.equals) return text == *condition.equals ? 0 : 1;
+  const auto number = whole_number(text);
+  if (!number) return std::nullopt;
+  const auto value = static_cast<double>(*number);
+  const auto part = [&](double limit, double short_by) {
+    return std::max(0.0, short_by) / std::max(1.0, std::abs(limit));
+  };
+  double passed = 0;
+  if (condition.at_least) {
+    const auto limit = static_cast<double>(*condition.at_least);
+    passed += part(limit, limit - value);
+  }
+  if (condition.at_most) {
+    const auto limit = static_cast<double>(*condition.at_most);
+    passed += part(limit, value - limit);
+  }
+  return passed;
+}
+
+/// Nothing that passes `other` keeps this one.
+bool no_weaker(const Condition& other, const Condition& condition, bool below) {
+  if (other.file != condition.file) return false;
+  if (condition.equals) return other.equals == condition.equals;
+  return below ? other.at_least && *other.at_least >= *condition.at_least
+               : other.at_most && *other.at_most <= *condition.at_most;
+}
+
+/// What one condition of `scenario` misses, in words.
+std::string words_of(const Condition& condition, std::string_view text, const Tables& tables,
+                     int scenario) {
+  const auto number = condition.equals ? std::nullopt : whole_number(text);
+  const bool below = number && condition.at_least && *number < *condition.at_least;
+  const bool every =
+      std::all_of(tables.scenarios.begin(), tables.scenarios.end(), [&](const Scenario& other) {
+        return std::any_of(other.when.begin(), other.when.end(),
+                           [&](const Condition& one) { return no_weaker(one, condition, below); });
+      });
+  const std::string who =
+      every ? "every scenario"
+            : "'" + tables.scenarios[static_cast<std::size_t>(scenario)].name + "'";
+  if (condition.equals)
+    return fmt::format("{} is '{}', {} needs '{}'", condition.file, valid_utf8(text), who,
+                       *condition.equals);
+  return fmt::format("{} is {}, {} needs at {} {}", condition.file, text, who,
+                     below ? "least" : "most", below ? *condition.at_least : *condition.at_most);
 }
 
 }  // namespace
 
-std::optional<bool> holds(const Scenario& scenario, const ReadText& read) {
+std::optional<double> passed_by(const Scenario& scenario, const ReadText& read) {
   if (scenario.when.empty()) return std::nullopt;
-  bool all = true;
+  double all = 0;
   for (const Condition& condition : scenario.when) {
     const auto text = read(condition.file);
-    const auto one = text ? holds(condition, stripped(*text)) : std::nullopt;
+    const auto one = text ? passed_by(condition, stripped(*text)) : std::nullopt;
     if (!one) return std::nullopt;
-    all = all && *one;
+    all += *one;
   }
   return all;
 }
 
-Machine machine_in(const Tables& tables, const ReadText& read) {
-  int least = -1, greatest = -1;
-  const auto worst = [&](int s) {
-    return tables.serves[static_cast<std::size_t>(s)].worst_case_us;
-  };
-  for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
-    const auto here = holds(tables.scenarios[s], read);
-    if (!here) continue;
-    const int k = static_cast<int>(s);
-    if (greatest < 0 || worst(k) > worst(greatest)) greatest = k;
-    if (*here && (least < 0 || worst(k) < worst(least))) least = k;
+Machine machine_in(const Tables& tables, const ScenarioOrder& order, const ReadText& read) {
+  std::vector<std::optional<double>> passed;  // [scenario]
+  for (const Scenario& scenario : tables.scenarios) passed.push_back(passed_by(scenario, read));
+  const auto holds = [&](std::size_t s) { return passed[s] && *passed[s] == 0; };
+  // Where a slower clock is enough, a faster one is, too: what is there is the least in WCETs of all that
+  // hold, whatever is lost there.
+  const int here = order.least([&](std::size_t s) {
+    if (!holds(s)) return false;
+    for (std::size_t other = 0; other < order.size(); ++other)
+      if (holds(other) && order.above(s, other)) return false;
+    return true;
+  });
+  if (here >= 0) return {here, {}};
+  Machine machine;
+  machine.scenario = order.most([&](std::size_t s) { return passed[s].has_value(); },
+                                [&](std::size_t s) { return *passed[s]; });
+  if (machine.scenario < 0) return machine;
+  for (const Condition& condition :
+       tables.scenarios[static_cast<std::size_t>(machine.scenario)].when) {
+    const auto text = read(condition.file);
+    if (const auto one = passed_by(condition, stripped(*text)); *one > 0)
+      machine.outside.push_back(
+          {condition.file, words_of(condition, stripped(*text), tables, machine.scenario)});
   }
-  return least >= 0 ? Machine{least, false} : Machine{greatest, greatest >= 0};
+  return machine;
 }
 
 std::int64_t read_every_ns(std::int64_t period_ns) {
@@ -106,19 +161,16 @@ std::vector<std::string> files_of(const Tables& tables) {
   return {files.begin(), files.end()};
 }
 
-std::uint64_t packed(const Machine& machine) {
-  return static_cast<std::uint32_t>(machine.scenario) | std::uint64_t{machine.outside} << 32;
-}
-
 }  // namespace
 
-ConditionWatch::ConditionWatch(const Tables& tables, const Timing& timing, Glance glance)
+ConditionWatch::ConditionWatch(const Tables& tables, const ScenarioOrder& order,
+                               const Timing& timing, Glance glance)
     : tables_(tables),
+      order_(order),
       timing_(timing),
       glance_(std::move(glance)),
       files_(files_of(tables)),
       warned_(files_.size()),
-      machine_(packed({})),
       quit_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   read();
   thread_ = std::thread([this] { watch(now_ns()); });
@@ -130,8 +182,8 @@ ConditionWatch::~ConditionWatch() {
 }
 
 Machine ConditionWatch::now() const {
-  const std::uint64_t machine = machine_.load();
-  return {static_cast<int>(static_cast<std::uint32_t>(machine)), (machine >> 32) != 0};
+  const Guard lock(mutex_);
+  return machine_;
 }
 
 /// Each file once, so that no two scenarios see two values of it.
@@ -145,8 +197,10 @@ void ConditionWatch::read() {
         "the machine; run with the rights to read it, or take it out of scenarios.json",
         files_[f]);
   }
-  machine_.store(
-      packed(machine_in(tables_, [&](const std::string& path) { return texts.at(path); })));
+  Machine machine =
+      machine_in(tables_, order_, [&](const std::string& path) { return texts.at(path); });
+  const Guard lock(mutex_);
+  std::swap(machine_, machine);
 }
 
 void ConditionWatch::watch(std::int64_t since_ns) {

@@ -10,7 +10,6 @@
 //   a job          that is too long may be the first sign of a clock that has fallen
 #pragma once
 
-#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -19,8 +18,10 @@
 #include <thread>
 #include <vector>
 
+#include "base/pi_mutex.h"
 #include "base/unique_fd.h"
 #include "model/tables.h"
+#include "runtime/scenario_order.h"
 
 namespace xauto::runtime {
 
@@ -33,20 +34,28 @@ inline constexpr std::int64_t kHeardApartNs = 1'000'000;
 /// so that what has changed is known within a period.
 [[nodiscard]] std::int64_t read_every_ns(std::int64_t period_ns);
 
-/// Whether the scenario's conditions hold; nullopt: it has none, or a file cannot be read. `read`: a
-/// file's text; nullopt: it cannot be read.
+/// A file's text; nullopt: it cannot be read.
 using ReadText = std::function<std::optional<std::string>(const std::string& path)>;
-[[nodiscard]] std::optional<bool> holds(const Scenario& scenario, const ReadText& read);
+/// By how much the scenario's conditions are missed, as parts of their limits, added up; 0: they hold;
+/// nullopt: it has none, or a file cannot be read.
+[[nodiscard]] std::optional<double> passed_by(const Scenario& scenario, const ReadText& read);
 
 /// Which scenario the machine is in.
 struct Machine {
+  /// What of `scenario` does not hold.
+  struct Outside {
+    std::string file;
+    std::string words;  ///< "/sys/.../cur_freq is 318000, every scenario needs at least 612000"
+  };
   int scenario = -1;  ///< -1: it says nothing
-  bool outside =
-      false;  ///< scenarios have conditions, and none holds: `scenario` is the last resort
+  /// Not empty: scenarios have conditions, and none holds; `scenario` is the last resort.
+  std::vector<Outside> outside = {};
 };
-/// Of the scenarios whose conditions hold, the one with the least worst case. If none holds, of those
-/// that have conditions the one with the greatest: the machine is slower than where it was measured.
-[[nodiscard]] Machine machine_in(const Tables& tables, const ReadText& read);
+/// Of the scenarios whose conditions hold, one that covers no other; of several the least. If none holds,
+/// of those that have conditions the one that covers most: the machine is slower than where it was
+/// measured.
+[[nodiscard]] Machine machine_in(const Tables& tables, const ScenarioOrder& order,
+                                 const ReadText& read);
 
 /// Tells when somebody writes, replaces or removes one of some files. Sees what programs do, and not
 /// what the kernel does to its own files. Threads: one.
@@ -73,9 +82,10 @@ class ConditionWatch {
   /// Asked every `glance_ns`, and whenever files were read, on the watch's thread: whether jobs show that
   /// the scenario in force is not the machine's.
   using Glance = std::function<bool(const Machine& machine)>;
-  /// `tables` outlive it. Without conditions nothing is read. Warns of a file that cannot be read, once
+  /// `tables` and `order` outlive it. Without conditions nothing is read. Warns of a file that cannot be read, once
   /// of each: a profile of root's may name some that others cannot.
-  ConditionWatch(const Tables& tables, const Timing& timing, Glance glance);
+  ConditionWatch(const Tables& tables, const ScenarioOrder& order, const Timing& timing,
+                 Glance glance);
   ~ConditionWatch();
   ConditionWatch(const ConditionWatch&) = delete;
   ConditionWatch& operator=(const ConditionWatch&) = delete;
@@ -86,13 +96,15 @@ class ConditionWatch {
   void watch(std::int64_t since_ns);
 
   const Tables& tables_;
+  const ScenarioOrder& order_;
   const Timing timing_;
   const Glance glance_;
-  std::vector<std::string> files_;      ///< of all conditions, each once
-  std::vector<char> warned_;            ///< [file]
-  std::atomic<std::uint64_t> machine_;  ///< both members of Machine, which belong together
-  UniqueFd quit_;                       ///< eventfd
-  std::thread thread_;                  ///< last: it uses the others
+  std::vector<std::string> files_;  ///< of all conditions, each once
+  std::vector<char> warned_;        ///< [file]
+  mutable PiMutex mutex_;           ///< of the releases and the watch
+  Machine machine_ XAUTO_GUARDED_BY(mutex_);
+  UniqueFd quit_;       ///< eventfd
+  std::thread thread_;  ///< last: it uses the others
 };
 
 }  // namespace xauto::runtime

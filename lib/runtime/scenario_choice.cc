@@ -13,25 +13,17 @@ constexpr std::int64_t kLongestDwells = 64;  ///< what trials that fail grow the
 
 ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, const Tables& tables,
                                const Allow& allow, const ChoiceOptions& options)
-    : options_(options), dwell_ns_(options.dwell_ns) {
+    : options_(options),
+      order_(std::make_shared<const ScenarioOrder>(app, tables)),
+      dwell_ns_(options.dwell_ns) {
   const std::vector<std::string> types = platform.types();
   const auto type_of = [&](const std::string& type) {
     return static_cast<int>(std::find(types.begin(), types.end(), type) - types.begin());
   };
-  std::vector<AppSpec> under;  // [scenario]
-  for (const Scenario& scenario : tables.scenarios) under.push_back(app_under(app, scenario));
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
-    const Served& served = tables.serves[s];
-    table_.push_back(served.table);
-    covers_.emplace_back();
-    for (std::size_t other = 0; other < under.size(); ++other)
-      covers_.back().push_back(
-          covers(tables.scenarios[s], under[s], tables.scenarios[other], under[other]) ? 1 : 0);
-    rank_.emplace_back(loss_pct(tables.tables[static_cast<std::size_t>(served.table)].loss, app),
-                       served.worst_case_us,
-                       std::count(covers_.back().begin(), covers_.back().end(), 1));
+    table_.push_back(tables.serves[s].table);
     auto& rows = allowed_ns_.emplace_back();
-    for (const XNodeSpec& xnode : under[s].xnodes) {
+    for (const XNodeSpec& xnode : app_under(app, tables.scenarios[s]).xnodes) {
       auto& row = rows.emplace_back();
       for (int variant = -1; variant < static_cast<int>(xnode.variants.size()); ++variant)
         for (const std::string& type : types) {
@@ -81,22 +73,12 @@ void ScenarioChoice::saw(int table, std::size_t xnode, std::int64_t ns) {
   longest = std::max(longest, ns);
 }
 
-/// Of those that `may`, the least one; of equal ones the first; -1: none may.
-template <class May>
-int ScenarioChoice::least(May may) const {
-  int best = -1;
-  for (std::size_t s = 0; s < rank_.size(); ++s)
-    if ((best < 0 || rank_[s] < rank_[static_cast<std::size_t>(best)]) && may(s))
-      best = static_cast<int>(s);
-  return best;
-}
-
 void ScenarioChoice::hung(int table, std::size_t xnode) {
   const int xpu = xpu_[static_cast<std::size_t>(table)][xnode];
   if (xpu < 0) return;
   const auto at = static_cast<std::size_t>(xpu);
   if (std::exchange(gone_[at], char{1}) != 0) return;
-  if (least([&](std::size_t s) { return does_without_gone(s); }) < 0) {
+  if (order_->least([&](std::size_t s) { return does_without_gone(s); }) < 0) {
     gone_[at] = 0;  // no scenario is for that: see the hang limit
     return;
   }
@@ -118,25 +100,45 @@ bool ScenarioChoice::does_without_gone(std::size_t scenario) const {
 
 bool ScenarioChoice::on_floor(std::size_t scenario) const {
   return does_without_gone(scenario) &&
-         (asked_ < 0 || covers_[scenario][static_cast<std::size_t>(asked_)] != 0) &&
-         (expected_ < 0 || covers_[scenario][static_cast<std::size_t>(expected_)] != 0);
+         (asked_ < 0 || order_->covers(scenario, static_cast<std::size_t>(asked_))) &&
+         (expected_ < 0 || order_->covers(scenario, static_cast<std::size_t>(expected_)));
 }
 
-/// What was seen beside what the scenario allows.
-ScenarioChoice::Passed ScenarioChoice::passed(std::size_t scenario) const {
-  Passed passed;
+/// `f`(what was seen, by how much it is longer than the scenario allows, as a factor).
+template <class F>
+void ScenarioChoice::each_seen(std::size_t scenario, F f) const {
   for (std::size_t x = 0; x < recent_ns_.size(); ++x)
     for (std::size_t t = 0; t < recent_ns_[x].size(); ++t) {
       const Evidence seen{x, static_cast<int>(t), std::max(recent_ns_[x][t], older_ns_[x][t])};
-      if (seen.ns == 0) continue;
-      const double factor =
-          static_cast<double>(seen.ns) / static_cast<double>(allowed(scenario, seen));
-      passed.excess += std::max(0.0, factor - 1);
-      if (factor <= passed.factor) continue;
-      passed.factor = factor;
-      passed.worst = seen;
+      if (seen.ns > 0)
+        f(seen, static_cast<double>(seen.ns) / static_cast<double>(allowed(scenario, seen)));
     }
+}
+
+ScenarioChoice::Passed ScenarioChoice::passed(std::size_t scenario) const {
+  Passed passed;
+  each_seen(scenario, [&](const Evidence& seen, double factor) {
+    passed.excess += std::max(0.0, factor - 1);
+    if (factor <= passed.factor) return;
+    passed.factor = factor;
+    passed.worst = seen;
+  });
   return passed;
+}
+
+std::vector<Passing> ScenarioChoice::passing(int scenario) const {
+  const auto of = static_cast<std::size_t>(scenario);
+  std::vector<Passing> all;
+  double most = 1;
+  each_seen(of, [&](const Evidence& seen, double factor) {
+    const int xnode = static_cast<int>(seen.xnode);
+    const bool another = all.empty() || all.back().xnode != xnode;
+    if (factor <= (another ? 1 : most)) return;
+    if (another) all.emplace_back();
+    all.back() = {xnode, seen.ns, allowed(of, seen)};
+    most = factor;
+  });
+  return all;
 }
 
 bool ScenarioChoice::fits(std::size_t scenario, std::int64_t margin_pct) const {
@@ -145,7 +147,7 @@ bool ScenarioChoice::fits(std::size_t scenario, std::int64_t margin_pct) const {
 
 void ScenarioChoice::put(int scenario, Why why, std::int64_t now_ns) {
   // A trial that failed: the next one comes later. One that held for long: all is as it was.
-  if (why == Why::kOverrun && now_.why == Why::kBack) {
+  if ((why == Why::kOverrun || why == Why::kOutside) && now_.why == Why::kBack) {
     const bool soon = now_ns - since_ns_ < 4 * dwell_ns_;
     dwell_ns_ =
         soon ? std::min(2 * dwell_ns_, kLongestDwells * options_.dwell_ns) : options_.dwell_ns;
@@ -175,32 +177,27 @@ int ScenarioChoice::next_scenario() const {
   // What held before still holds, as far as anybody knows. Where nothing covers that as well, and where
   // it was a guess, what was seen decides.
   if (now_.why != Why::kOutside)
-    if (const int next = least([&](std::size_t s) { return may(s) && covers_[s][current] != 0; });
+    if (const int next =
+            order_->least([&](std::size_t s) { return may(s) && order_->covers(s, current); });
         next >= 0)
       return next;
-  return least(may);
+  return order_->least(may);
 }
 
-/// The one that jobs pass by least, all of them added up; then the least one. Added
-/// up, since one job that a stall made longer must not hide that a whole XPU is slow. Where none covers
-/// both what the machine says and what people ask for, they give way: the machine is as it is.
-int ScenarioChoice::nearest() const {
-  const bool floor = least([&](std::size_t s) { return on_floor(s); }) >= 0;
-  const auto may = [&](std::size_t s) {
-    return floor ? on_floor(s)
-                 : expected_ < 0 || covers_[s][static_cast<std::size_t>(expected_)] != 0;
+/// The one that covers most, by what jobs pass it, all of them added up: one job that a stall made longer
+/// must not hide that a whole XPU is slow. Where none covers both what the machine says and what people
+/// ask for, they give way: the machine is as it is, and jobs may fit that.
+int ScenarioChoice::last_resort() const {
+  const auto of_machine = [&](std::size_t s) {
+    return expected_ < 0 || order_->covers(s, static_cast<std::size_t>(expected_));
   };
-  const auto rank = [&](std::size_t s) { return std::pair(passed(s).excess, rank_[s]); };
-  int best = -1;
-  std::pair<double, Rank> least_rank;
-  for (std::size_t s = 0; s < rank_.size(); ++s) {
-    if (!may(s)) continue;
-    const auto here = rank(s);
-    if (best >= 0 && here >= least_rank) continue;
-    best = static_cast<int>(s);
-    least_rank = here;
-  }
-  return best;
+  const bool floor = order_->least([&](std::size_t s) { return on_floor(s); }) >= 0;
+  if (!floor)
+    if (const int fit = order_->least([&](std::size_t s) { return of_machine(s) && fits(s, 0); });
+        fit >= 0)
+      return fit;
+  return order_->most([&](std::size_t s) { return floor ? on_floor(s) : of_machine(s); },
+                      [&](std::size_t s) { return passed(s).excess; });
 }
 
 /// The job by which what was seen passes the scenario `judged`.
@@ -240,8 +237,8 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
     else if (now_.why == Why::kOutside)
       put(before, Why::kBack, now_ns);  // it was a guess, and holds
     if (anew || now_ns - since_ns_ >= dwell_ns_) {
-      const int lower = least([&](std::size_t s) {
-        return on_floor(s) && rank_[s] < rank_[current] && fits(s, options_.margin_pct);
+      const int lower = order_->least([&](std::size_t s) {
+        return on_floor(s) && order_->less(s, current) && fits(s, options_.margin_pct);
       });
       if (lower >= 0) put(lower, anew ? Why::kAsked : Why::kBack, now_ns);
     }
@@ -253,10 +250,10 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
       if (!fitted) blame(by.worst, before);
     }
   } else {
-    const int near = nearest();
-    if (now_.why != Why::kOutside || near != before) put(near, Why::kOutside, now_ns);
-    if (const Passed still = passed(static_cast<std::size_t>(near)); still.factor > 1)
-      blame(still.worst, near);
+    const int most = last_resort();
+    if (now_.why != Why::kOutside || most != before) put(most, Why::kOutside, now_ns);
+    if (const Passed still = passed(static_cast<std::size_t>(most)); still.factor > 1)
+      blame(still.worst, most);
   }
   age(now_ns);
   return now_.scenario != before;

@@ -19,22 +19,20 @@
 //
 // A scenario whose XNodes run elsewhere cannot be seen from here: XNodes that left a throttled GPU
 // tell nothing of it. So going back is a trial, and each trial that fails doubles the dwell.
-// The least scenario is the one in which the app loses least (model/loss.h), then the one whose worst
-// case is the least, then the one that covers fewest others: keys have one worst case for all that their
-// table serves.
+// Where none fits: the one that covers most. Which is the least and which covers most, scenario_order.h says.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <string>
-#include <tuple>
-#include <utility>
 #include <vector>
 
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/tables.h"
+#include "runtime/scenario_order.h"
 
 namespace xauto::runtime {
 
@@ -46,6 +44,12 @@ struct Choice {
   /// kOverrun, kOutside: the job, how long it had its XPU, and what the scenario before (kOverrun) or
   /// this one (kOutside) allows. kLost: the job, and the XPU.
   int xnode = -1, xpu = -1;
+  std::int64_t saw_ns = 0, allowed_ns = 0;
+};
+
+/// A job of `xnode` had its XPU for longer than a scenario allows.
+struct Passing {
+  int xnode = -1;
   std::int64_t saw_ns = 0, allowed_ns = 0;
 };
 
@@ -82,6 +86,9 @@ class ScenarioChoice {
   /// What shall be in force from now on. True: that is another scenario than before.
   bool decide(std::int64_t now_ns);
   [[nodiscard]] const Choice& now() const { return now_; }
+  /// Of each XNode of which something was seen that passes `scenario`, what passes it most.
+  [[nodiscard]] std::vector<Passing> passing(int scenario) const;
+  [[nodiscard]] const ScenarioOrder& order() const { return *order_; }
 
  private:
   struct Evidence {
@@ -89,8 +96,6 @@ class ScenarioChoice {
     int form = 0;  ///< of the XNode: its type of XPU, and its variant
     std::int64_t ns = 0;
   };
-  /// What is lost, the worst case, and how many scenarios it covers.
-  using Rank = std::tuple<std::int64_t, std::int64_t, std::int64_t>;
   struct Passed {
     double factor = 0;    ///< by this at most; at most 1: it is not
     Evidence worst = {};  ///< by that
@@ -99,23 +104,22 @@ class ScenarioChoice {
   [[nodiscard]] bool does_without_gone(std::size_t scenario) const;
   [[nodiscard]] bool on_floor(std::size_t scenario) const;
   [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;
+  template <class F>
+  void each_seen(std::size_t scenario, F f) const;
   [[nodiscard]] Passed passed(std::size_t scenario) const;
   [[nodiscard]] std::int64_t allowed(std::size_t scenario, const Evidence& seen) const {
     return allowed_ns_[scenario][seen.xnode][static_cast<std::size_t>(seen.form)];
   }
-  template <class May>
-  [[nodiscard]] int least(May may) const;
   [[nodiscard]] int next_scenario() const;
-  [[nodiscard]] int nearest() const;
+  [[nodiscard]] int last_resort() const;
   void blame(const Evidence& seen, int judged);
   void put(int scenario, Why why, std::int64_t now_ns);
   void lose(int scenario, std::int64_t now_ns);
   void age(std::int64_t now_ns);
 
   const ChoiceOptions options_;
-  std::vector<Rank> rank_;                 ///< [scenario]
-  std::vector<int> table_;                 ///< [scenario]
-  std::vector<std::vector<char>> covers_;  ///< [scenario][covered scenario]
+  std::shared_ptr<const ScenarioOrder> order_;                      ///< the same in each copy
+  std::vector<int> table_;                                          ///< [scenario]
   std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_;  ///< [scenario][xnode][form]
   std::vector<std::vector<int>> form_, xpu_;  ///< [table][xnode]; -1: its module is off
   std::vector<std::vector<char>> lost_;       ///< [scenario][XPU]

@@ -25,8 +25,8 @@ ChoiceOptions options_of(const Deployment& deployment) {
 
 constexpr std::int64_t kGlanceOftenNs = 1'000'000, kGlanceSeldomNs = 4'000'000;
 
-void say_once(const std::vector<std::string>& lines) {
-  for (const std::string& line : lines) log::error("{} (further times are only counted)", line);
+void say(const std::vector<std::string>& lines) {
+  for (const std::string& line : lines) log::error("{}", line);
 }
 
 /// Where some XPUs of a type are emulated, all of them are judged as such.
@@ -88,7 +88,7 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
   // A job that is too long is found in the same period; what is in memory costs nothing to look at.
   const std::int64_t glance_ns = std::clamp(period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
   conditions_ = std::make_unique<ConditionWatch>(
-      tables_, ConditionWatch::Timing{read_every_ns(period_ns_), glance_ns},
+      tables_, choice_.order(), ConditionWatch::Timing{read_every_ns(period_ns_), glance_ns},
       [this](const Machine& machine) { return glance(machine); });
 }
 
@@ -149,7 +149,7 @@ bool TableSwitch::glance(const Machine& machine) {
     holds = choice_.holds();
     said = outside(holds ? choice_.now() : choice_.foresee(now_ns()), machine);
   }
-  say_once(said);
+  say(said);
   return !holds;
 }
 
@@ -178,7 +178,7 @@ std::pair<Choice, int> TableSwitch::choose() {
     chosen = {choice_.now(), table_};
     said = outside(chosen.first, machine);
   }
-  say_once(said);
+  say(said);
   return chosen;
 }
 
@@ -202,8 +202,7 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
              choice.why != Why::kOverrun ||
                  noticed_in_time(now, too_long_ns, before_ns, tables_.notice_us * 1000));
   }
-  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
-  if (choice.scenario == from && !lost) return;
+  if (!is_news(choice, from)) return;
   SwitchReport change;
   change.release = context_.board.released();
   change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
@@ -244,8 +243,7 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   // What was in flight may have taken longer still.
   const Choice choice = held_ns > 0 ? choose().first : first;
   SwitchReport change;
-  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
-  const bool changed = choice.scenario != from || lost;
+  const bool changed = is_news(choice, from);
   judge(release, changed ? &change : nullptr);
   // Whoever waited for nothing is on time again. Where a release meets the next one in any case, the
   // wait keeps no claim.
@@ -292,16 +290,28 @@ void TableSwitch::put(std::uint64_t release, int table) {
   table_ = table;
 }
 
+std::string TableSwitch::words_of(const Passing& job) const {
+  return fmt::format("XNode '{}' had its XPU for {:.3f} ms, allowed are {:.3f}", name_of(job.xnode),
+                     static_cast<double>(job.saw_ns) * 1e-6,
+                     static_cast<double>(job.allowed_ns) * 1e-6);
+}
+
 std::string TableSwitch::words_of(const Choice& choice) const {
   if (choice.xnode < 0) return {};
-  const auto x = static_cast<std::size_t>(choice.xnode);
   if (choice.xpu >= 0)
     return fmt::format("XNode '{}' did not return from {} within its hang limit",
-                       context_.session.app.xnodes[x].name,
+                       name_of(choice.xnode),
                        context_.session.platform.xpus[static_cast<std::size_t>(choice.xpu)].id);
-  return fmt::format("XNode '{}' had its XPU for {:.3f} ms, allowed are {:.3f}",
-                     context_.session.app.xnodes[x].name, static_cast<double>(choice.saw_ns) * 1e-6,
-                     static_cast<double>(choice.allowed_ns) * 1e-6);
+  return words_of(Passing{choice.xnode, choice.saw_ns, choice.allowed_ns});
+}
+
+/// That an XPU is lost, and that no scenario allows what was seen, is told also where the scenario is the
+/// one before.
+bool TableSwitch::is_news(const Choice& choice, int from) {
+  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
+  const bool is_outside = choice.why == Why::kOutside;
+  const bool outside = !std::exchange(told_outside_, is_outside) && is_outside;
+  return choice.scenario != from || lost || outside;
 }
 
 void TableSwitch::tell(SwitchReport change, const Choice& choice) {
@@ -326,35 +336,40 @@ void TableSwitch::tell(SwitchReport change, const Choice& choice) {
   if (switches_.size() > kKeptSwitches) switches_.pop_front();
 }
 
-/// Counts how often it came to that. Returns what is to be said: each kind the first time.
+/// Counts what no scenario covers. Returns what is to be said of it.
 std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machine& machine) {
-  std::vector<std::string> said;
-  const auto count = [&](Outside& outside, bool is, std::atomic<std::uint64_t>& shown,
-                         const auto& words) {
-    if (std::exchange(outside.is, is) || !is) return;
-    shown.fetch_add(1, std::memory_order_relaxed);
-    if (outside.times++ > 0) return;
-    outside.first = words();
-    said.push_back(outside.first);
-  };
-  BoardHeader& header = context_.board.header();
+  using Kind = OutsideLog::Kind;
+  std::vector<OutsideLog::What> all;
   const auto name = [&](int scenario) -> const std::string& {
     return tables_.scenarios[static_cast<std::size_t>(scenario)].name;
   };
-  count(clocks_, machine.outside, header.outside_clocks, [&] {
-    return fmt::format(
-        "the machine's clocks and modes are those of no scenario; '{}' is the least that counts",
-        name(machine.scenario));
-  });
-  count(jobs_, choice.why == Why::kOutside, header.outside_jobs, [&] {
-    if (choice.xnode >= 0)
-      return fmt::format("outside of every scenario: {} under '{}', which is passed by least",
-                         words_of(choice), name(choice.scenario));
-    return std::string(
-        "no scenario covers both what is asked for and what the machine's clocks say; the clocks "
-        "decide");
-  });
-  return said;
+  for (const Machine::Outside& one : machine.outside)
+    all.push_back({Kind::kFile, one.file, [&] {
+                     return fmt::format(
+                         "the machine's clocks and modes are those of no scenario: {}; '{}' is the "
+                         "least that counts",
+                         one.words, name(machine.scenario));
+                   }});
+  // A guess may hold by now.
+  if (choice.why == Why::kOutside && !choice_.holds()) {
+    const std::vector<Passing> jobs = choice_.passing(choice.scenario);
+    for (const Passing& job : jobs)
+      all.push_back({Kind::kJob, name_of(job.xnode), [this, job, &choice, &name] {
+                       return fmt::format("outside of every scenario: {} under '{}', which counts",
+                                          words_of(job), name(choice.scenario));
+                     }});
+    if (jobs.empty())
+      all.push_back({Kind::kJob, {}, [] {
+                       return std::string(
+                           "no scenario covers both what is asked for and what the machine's "
+                           "clocks say; the clocks decide");
+                     }});
+  }
+  const OutsideLog::News news = outside_.look(now_ns(), all);
+  BoardHeader& header = context_.board.header();
+  header.outside_jobs.fetch_add(news.jobs, std::memory_order_relaxed);
+  header.outside_clocks.fetch_add(news.files, std::memory_order_relaxed);
+  return news.say;
 }
 
 bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
@@ -369,11 +384,8 @@ std::vector<std::string> TableSwitch::broken() {
     lines.push_back(words_of_unproven(n));
   if (const std::uint64_t n = header.unsettled.load(); n > 0)
     lines.push_back(words_of_unsettled(n));
-  for (const Outside* outside : {&jobs_, &clocks_})
-    if (outside->times > 0)
-      lines.push_back(outside->first + (outside->times > 1
-                                            ? fmt::format(", {} times", outside->times)
-                                            : std::string()));
+  const std::vector<std::string> outside = outside_.all();
+  lines.insert(lines.end(), outside.begin(), outside.end());
   return lines;
 }
 

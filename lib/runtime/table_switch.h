@@ -44,6 +44,7 @@
 #include "runtime/condition_watch.h"
 #include "runtime/context.h"
 #include "runtime/ledger.h"
+#include "runtime/outside_log.h"
 #include "runtime/scenario_choice.h"
 #include "runtime/wiring.h"
 #include "session/run_report.h"
@@ -99,7 +100,12 @@ class TableSwitch {
   void tell(SwitchReport change, const Choice& choice);
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
       XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] const std::string& name_of(int xnode) const {
+    return context_.session.app.xnodes[static_cast<std::size_t>(xnode)].name;
+  }
+  [[nodiscard]] std::string words_of(const Passing& job) const;
   [[nodiscard]] std::string words_of(const Choice& choice) const;
+  [[nodiscard]] bool is_news(const Choice& choice, int from);
   void take_past() XAUTO_REQUIRES(mutex_);
   void judge_past() XAUTO_REQUIRES(mutex_);
 
@@ -124,20 +130,15 @@ class TableSwitch {
   std::uint64_t judged_ = 0;  ///< releases whose latency is counted
   bool catches_up_ = false;   ///< the next release waits for the one before
   bool stuck_ = false;
-  int lost_ = -1;  ///< the XPU that was last told to be lost
+  int lost_ = -1;              ///< the XPU that was last told to be lost
+  bool told_outside_ = false;  ///< what was told last is that no scenario allows what was seen
   // Of keys:
   std::int64_t newest_ns_ = 0;    ///< latest nominal release so far
   std::int64_t settled_ns_ = 0;   ///< from then on another change is certified
   std::int64_t released_ns_ = 0;  ///< when the last one that has a table got it
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;
-  /// Of what no scenario covers.
-  struct Outside {
-    bool is = false;
-    std::uint64_t times = 0;
-    std::string first;
-  };
-  Outside jobs_ XAUTO_GUARDED_BY(mutex_), clocks_ XAUTO_GUARDED_BY(mutex_);
+  OutsideLog outside_ XAUTO_GUARDED_BY(mutex_);
   std::unique_ptr<ConditionWatch> conditions_;  ///< last: its thread uses the others
 };
 

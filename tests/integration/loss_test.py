@@ -40,7 +40,67 @@ def least_loss(gpu):
     return min(fits)
 
 
-class Loss(unittest.TestCase):
+# What the machine says in the tests of `when`: each scenario holds from a clock on, as `profile --merge` writes it.
+CLOCKS = {"nominal": 1000, "slow": 666, "slower": 333, "slowest": 200}
+
+
+class ByTheMachine:
+    """What counts at full clock, and outside of every scenario. `args`: the program's."""
+    args = ()
+
+    @classmethod
+    def write(cls, name, value):
+        (cls.folder / name).write_text(json.dumps(value))
+
+    def run_at(self, clock, *flags, script=None):
+        """The report, and stderr; with `when` unless the clock is None."""
+        file = self.folder / "clock"
+        tables = json.loads(json.dumps(self.tables))
+        if clock is not None:
+            file.write_text(f"{clock}\n")
+            for scenario in tables["scenarios"]:
+                scenario["when"] = [{"file": str(file), "at_least": CLOCKS[scenario["name"]]}]
+        self.write("when.json", tables)
+        if script:
+            self.write("script.json", {"schema": "xauto.emulation", "version": 1, "steps": script})
+            flags += ("--emulate-script", "script.json")
+        done = xauto("run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", "when.json", "--deployment",
+                     "deployment.json", "--json", *flags, "--", LOSSAPP, "/dev/null", *self.args,
+                     cwd=self.folder)
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        return json.loads(done.stdout)["runs"][0], done.stderr
+
+    def off(self, report):
+        return {m["name"]: m.get("off", 0) for m in report["modules"]}
+
+    def test_at_full_clock_all_hold_and_nothing_is_off(self):
+        report, _ = self.run_at(1000, "--seconds", 2)
+        # Others may count for jobs that this machine makes longer.
+        self.assertEqual([s for s in report["switches"] if s["why"] == "machine"], [])
+        if report["switches"] == []:
+            self.assertEqual(set(self.off(report).values()), {0})
+        report, _ = self.run_at(250, "--seconds", 1)
+        self.assertEqual([s["to"] for s in report["switches"] if s["why"] == "machine"], ["slowest"])
+
+    def test_a_clock_below_all_is_named_with_the_limit_and_loses_most(self):
+        report, err = self.run_at(100, "--seconds", 1)
+        self.assertEqual([s["to"] for s in report["switches"] if s["why"] == "machine"], ["slowest"])
+        self.assertGreater(self.off(report)["log"], 0)
+        self.assertGreater(self.off(report)["show"], 0)
+        words = f"those of no scenario: {self.folder}/clock is 100, every scenario needs at least 200; 'slowest' is the least that"
+        self.assertIn(words, err)
+        self.assertIn(words, str(report["worst_case_broken"]))
+
+    def test_a_job_outside_of_every_scenario_loses_most(self):
+        report, err = self.run_at(None, "--seconds", 3, script=[{"at_us": 600_000, "speed_pct": {"cpu": 4}}])
+        outside = [s["to"] for s in report["switches"] if s["why"] == "outside"]
+        self.assertEqual(set(outside), {"slowest"}, report["switches"])
+        self.assertGreater(self.off(report)["log"], 0)
+        self.assertGreater(self.off(report)["show"], 0)
+        self.assertIn("outside of every scenario: XNode", err)
+
+
+class Loss(ByTheMachine, unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         folder = tempfile.TemporaryDirectory()
@@ -59,10 +119,6 @@ class Loss(unittest.TestCase):
                            "--time-limit-s", 4, "--out", "tables.json", cwd=cls.folder)
         cls.tables = json.loads((cls.folder / "tables.json").read_text())
         cls.serves = {s["scenario"]: next(t for t in cls.tables["tables"] if t["name"] == s["table"]) for s in cls.tables["serves"]}
-
-    @classmethod
-    def write(cls, name, value):
-        (cls.folder / name).write_text(json.dumps(value))
 
     def check(self, tables):
         self.write("other.json", tables)
@@ -202,8 +258,9 @@ class Loss(unittest.TestCase):
         self.judge(self.switch_about("--isolate"))
 
 
-class LossByKeys(unittest.TestCase):
+class LossByKeys(ByTheMachine, unittest.TestCase):
     """The same with a loop of another rate beside it: tables of keys, and no release waits for a change."""
+    args = ("rates",)
     SLOWER = {"nominal": 100, "slow": 150, "slower": 290, "slowest": 500}
 
     @classmethod
@@ -220,12 +277,11 @@ class LossByKeys(unittest.TestCase):
         app["chains"] = [{"name": "act", "from": "camera", "to": "act.go", "deadline_us": 1000 * RELEASE_MS},
                          {"name": "log", "from": "camera", "to": "log.write", "deadline_us": 1000 * RELEASE_MS},
                          {"name": "steer", "from": "camera", "to": "steer.go"}]
-        write = lambda name, value: (cls.folder / name).write_text(json.dumps(value))
-        write("app.json", app)
-        write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "lossapp", "scenarios": [
+        cls.write("app.json", app)
+        cls.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "lossapp", "scenarios": [
             {"name": name, "wcet_scale_pct": {"gpu": pct}, **({"degraded": True} if pct > 100 else {})}
             for name, pct in cls.SLOWER.items()]})
-        write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "lossapp", **QUEUES})
+        cls.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "lossapp", **QUEUES})
         cls.solved = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
                            "--time-limit-s", 6, "--out", "tables.json", cwd=cls.folder)
         assert cls.solved.returncode in (0, 1), cls.solved.stderr  # 1: a change may miss a deadline

@@ -6,6 +6,7 @@ import collections
 import json
 import pathlib
 import random
+import re
 import subprocess
 import tempfile
 import unittest
@@ -191,7 +192,37 @@ class Tables(unittest.TestCase):
         clock.write_text("100000000\n")
         wait_for("slow, for want of anything slower", lambda: self.mode()["now"] == "slow", self.tool)
         report = self.end()
-        self.assertIn("are those of no scenario; 'slow' is the least that counts", str(report["worst_case_broken"]))
+        self.assertIn(f"those of no scenario: {clock} is 100000000, every scenario needs at least 450000000; 'slow'", str(report["worst_case_broken"]))
+
+    def test_a_wrong_assumption_after_another_one_is_said_too_and_one_that_comes_anew(self):
+        """The GPU falls below every scenario and recovers, then the DLA does, then the GPU once more."""
+        app = json.loads(pathlib.Path(APP).read_text())
+        for xnode in app["xnodes"]:  # room where this machine's stalls would be the first that is said
+            xnode["wcet_us"] = {kind: us * (20 if kind == "cpu" else 3) // 2 for kind, us in xnode["wcet_us"].items()}
+        app.pop("deadline_us", None)
+        self.write("roomy.json", app)
+        self.solve("roomy.json", "roomy-tables.json", [{"name": "fast"}, {"name": "slow", "wcet_scale_pct": {"gpu": 150}}])
+        self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "driving", **QUEUES,
+                                       "tables": {"dwell_ms": 300}})
+        low = lambda kind, pct, at: [{"at_us": at, "speed_pct": {kind: pct}}, {"at_us": at + 400_000, "speed_pct": {kind: 100}}]
+        self.write("falls.json", {"schema": "xauto.emulation", "version": 1, "steps":
+                                  [*low("gpu", 30, 700_000), *low("dla", 20, 3_500_000), *low("gpu", 30, 6_300_000)]})
+        self.start("--period-us", "66000", "--emulate-script", "falls.json", app="roomy.json", tables="roomy-tables.json")
+        tables = json.loads((self.folder / "roomy-tables.json").read_text())
+        on = {kind: {x["name"] for t in tables["tables"] for x in t["xnodes"] if x["xpu"].startswith(kind)} for kind in ("gpu", "dla")}
+
+        def said():
+            return re.findall(r"outside of every scenario: XNode '([\w.]+)'", (self.folder / "err").read_text())
+        wait_for("the GPU", lambda: on["gpu"] & set(said()), self.tool)
+        wait_for("the DLA", lambda: on["dla"] & set(said()), self.tool)
+        wait_for("the GPU again", lambda: [n for n in on["gpu"] if said().count(n) > 1], self.tool)
+        at = self.released()
+        wait_for("releases that get a scenario", lambda: self.released() > at + 2, self.tool)
+        report = self.end()
+        broken = str(report["worst_case_broken"])
+        for name in said():
+            self.assertIn(f"outside of every scenario: XNode '{name}'", broken)
+        self.assertGreaterEqual(sum(s["why"] == "outside" for s in report["switches"]), 3, report["switches"])
 
     def test_what_cannot_be_is_refused(self):
         run = ("run", "--app", self.folder / "app.json", "--platform", "small", "--emulate", "--policy", self.folder / "tables.json")

@@ -390,26 +390,33 @@ TEST(Run, AJobOutsideOfEveryScenarioIsNamedWhileItRunsAndNoReleaseComes) {
   EXPECT_NE(report->json().find("outside of every scenario: XNode 'm1'"), std::string::npos);
 }
 
-TEST(Run, AClockOfNoScenarioIsNamedThoughNoReleaseComes) {
+TEST(Run, EachClockOfNoScenarioIsNamedThoughNoReleaseComes) {
   const std::string clock = ::testing::TempDir() + "clock." + std::to_string(getpid());
+  const std::string other = clock + ".other";
   std::ofstream(clock) << "900";
-  WithTables f(10'000'000, {{clock, 900, {}, {}}});
+  std::ofstream(other) << "900";
+  WithTables f(10'000'000, {{clock, 900, {}, {}}, {other, 900, {}, {}}});
   const Heard heard;
   std::thread driver;
   f.app.on_start([&] {
     driver = std::thread([&] {
       f.drive([&] { return f.results > 0; });
       std::ofstream(clock) << "100";
-      heard.wait_for("the machine's clocks and modes are those of no scenario");
+      heard.wait_for("the machine's clocks and modes are those of no scenario: " + clock +
+                     " is 100, 'city' needs at least 900");
+      std::ofstream(other) << "200";
+      heard.wait_for(other + " is 200, 'city' needs at least 900");
       f.app.stop();
     });
   });
   const auto report = f.app.run(f.with_tables);
   driver.join();
   std::filesystem::remove(clock);
+  std::filesystem::remove(other);
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_EQ(report->releases(), 1u);
-  EXPECT_NE(report->json().find("those of no scenario; 'city' is the least"), std::string::npos)
+  EXPECT_NE(report->json().find(" is 100, 'city' needs at least 900; 'city' is the least"),
+            std::string::npos)
       << report->json();
 }
 

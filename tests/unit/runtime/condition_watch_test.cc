@@ -8,8 +8,10 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include <gtest/gtest.h>
 #include <stdlib.h>
@@ -34,6 +36,36 @@ Scenario when(std::vector<Condition> conditions) {
   return scenario;
 }
 
+/// One XNode, on the GPU. A scenario takes `pct` percent of its time, and its table is the variant `small` if
+/// `loses`.
+struct Point {
+  std::int64_t pct, worst_case_us;
+  bool loses;
+  std::vector<Condition> when;
+};
+class Points {
+ public:
+  explicit Points(const std::vector<Point>& points) {
+    app.xnodes.push_back({"a", "m", {{"gpu", 1000}}});
+    app.xnodes[0].variants = {{"small", 50, {{"gpu", 400}}}};
+    tables.tables = {{"whole", {0}, {1}, {}}, {"small", {0}, {1}, {}, {{0}, {}}}};
+    for (const Point& point : points) {
+      Scenario scenario{std::to_string(point.pct) + " %", {{"gpu", point.pct}}};
+      scenario.when = point.when;
+      tables.scenarios.push_back(scenario);
+      tables.serves.push_back({point.loses ? 1 : 0, point.worst_case_us, 1});
+    }
+  }
+  [[nodiscard]] Machine in(const Files& files) const {
+    return machine_in(tables, ScenarioOrder(app, tables), files.reader());
+  }
+  AppSpec app;
+  Tables tables;
+};
+std::vector<Condition> at_least(std::int64_t clock) {
+  return {{"/clock", clock, {}, {}}};
+}
+
 TEST(Conditions, ANumberIsComparedAsAWholeAndSpaceAroundItIsNone) {
   Files files;
   const Scenario s = when({{"/clock", 450, 900, {}}});
@@ -48,7 +80,8 @@ TEST(Conditions, ANumberIsComparedAsAWholeAndSpaceAroundItIsNone) {
                                                   {"99999999999999999999", std::nullopt},
                                                   {"0x258", std::nullopt}}) {
     files.text["/clock"] = text;
-    EXPECT_EQ(holds(s, files.reader()), expected) << "'" << text << "'";
+    const auto passed = passed_by(s, files.reader());
+    EXPECT_EQ(passed ? std::optional(*passed == 0) : std::nullopt, expected) << "'" << text << "'";
   }
 }
 
@@ -56,32 +89,99 @@ TEST(Conditions, AllHaveToHoldAndNoneIsGuessed) {
   Files files;
   const Scenario s = when({{"/clock", 450, {}, {}}, {"/mode", {}, {}, "pmode:0002"}});
   files.text = {{"/clock", "500\n"}, {"/mode", "pmode:0002\n"}};
-  EXPECT_EQ(holds(s, files.reader()), true);
+  EXPECT_EQ(passed_by(s, files.reader()), 0);
   files.text["/mode"] = "pmode:0001\n";
-  EXPECT_EQ(holds(s, files.reader()), false);
+  EXPECT_EQ(passed_by(s, files.reader()), 1);
   files.text.erase("/mode");
-  EXPECT_EQ(holds(s, files.reader()), std::nullopt) << "a file that is not there says nothing";
-  EXPECT_EQ(holds(when({}), files.reader()), std::nullopt);
+  EXPECT_EQ(passed_by(s, files.reader()), std::nullopt) << "a file that is not there says nothing";
+  EXPECT_EQ(passed_by(when({}), files.reader()), std::nullopt);
 }
 
-TEST(Conditions, TheLeastScenarioThatHoldsElseTheGreatestThatIsKnown) {
-  Files files;
-  Tables tables;
-  tables.scenarios = {when({{"/clock", 900, {}, {}}}), when({{"/clock", 600, {}, {}}}),
-                      when({{"/clock", 300, {}, {}}}), when({})};
-  tables.serves = {{0, 10, 1}, {0, 20, 1}, {0, 30, 1}, {0, 5, 1}};
+TEST(Conditions, TheLeastScenarioThatHoldsElseTheOneThatCoversMost) {
+  const Points points({{100, 10, false, at_least(900)},
+                       {150, 20, false, at_least(600)},
+                       {300, 30, false, at_least(300)},
+                       {400, 5, false, {}}});
   const auto at = [&](const std::string& clock) {
+    Files files;
     files.text["/clock"] = clock;
-    return machine_in(tables, files.reader());
+    return points.in(files);
   };
   EXPECT_EQ(at("950").scenario, 0);
   EXPECT_EQ(at("700").scenario, 1);
   EXPECT_EQ(at("300").scenario, 2);
-  EXPECT_FALSE(at("300").outside);
+  EXPECT_TRUE(at("300").outside.empty());
   EXPECT_EQ(at("299").scenario, 2);
-  EXPECT_TRUE(at("299").outside);
+  EXPECT_FALSE(at("299").outside.empty());
   EXPECT_EQ(at("fast").scenario, -1) << "nobody can tell";
-  EXPECT_FALSE(at("fast").outside);
+  EXPECT_TRUE(at("fast").outside.empty());
+}
+
+/// At full clock all hold. Worst cases of version 1, in which what is lost makes the slowest scenario's the
+/// shortest; and of tables of keys, which have one for all that they serve.
+TEST(Conditions, NothingIsLostAtFullClockAndMostOutside) {
+  for (const std::vector<std::int64_t>& worst :
+       {std::vector<std::int64_t>{20, 30, 16, 18}, {20, 20, 20, 20}, {20, 20, 10, 10}}) {
+    // In an order in which the first is not the answer by itself.
+    const Points points({{500, worst[3], true, at_least(200)},
+                         {150, worst[1], false, at_least(666)},
+                         {300, worst[2], true, at_least(333)},
+                         {100, worst[0], false, at_least(1000)}});
+    Files files;
+    for (const auto& [clock, pct] : std::map<std::string, std::string>{
+             {"1000", "100 %"}, {"999", "150 %"}, {"400", "300 %"}, {"200", "500 %"}}) {
+      files.text["/clock"] = clock;
+      const Machine machine = points.in(files);
+      ASSERT_GE(machine.scenario, 0);
+      EXPECT_EQ(points.tables.scenarios[static_cast<std::size_t>(machine.scenario)].name, pct)
+          << clock << ", " << worst[2];
+      EXPECT_TRUE(machine.outside.empty());
+    }
+    files.text["/clock"] = "100";
+    EXPECT_EQ(points.in(files).scenario, 0) << worst[2];
+  }
+}
+
+TEST(Conditions, WhatIsThereIsTheLeastInWcetsThoughAnotherHasAShorterWorstCase) {
+  const Points points({{200, 10, false, at_least(500)}, {100, 20, false, at_least(1000)}});
+  Files files;
+  files.text["/clock"] = "1000";
+  EXPECT_EQ(points.in(files).scenario, 1);
+}
+
+TEST(Conditions, WhatIsOutsideIsNamedWithTheLimitThatItPasses) {
+  Points points({{100, 10, false, {{"/clock", 900, {}, {}}, {"/mode", {}, {}, "MAXN"}}},
+                 {200, 20, false, {{"/clock", 600, 1000, {}}, {"/mode", {}, {}, "MAXN"}}}});
+  Files files;
+  files.text = {{"/clock", "318\n"}, {"/mode", "MAXN\n"}};
+  Machine machine = points.in(files);
+  ASSERT_EQ(machine.outside.size(), 1u);
+  EXPECT_EQ(machine.outside[0].file, "/clock");
+  EXPECT_EQ(machine.outside[0].words, "/clock is 318, every scenario needs at least 600");
+  files.text = {{"/clock", "1200\n"}, {"/mode", "15\xff W\n"}};
+  machine = points.in(files);
+  EXPECT_EQ(machine.scenario, 1);
+  ASSERT_EQ(machine.outside.size(), 2u);
+  EXPECT_EQ(machine.outside[0].words, "/clock is 1200, '200 %' needs at most 1000");
+  EXPECT_EQ(machine.outside[1].words, "/mode is '15? W', every scenario needs 'MAXN'");
+}
+
+TEST(Conditions, OfThoseThatNoOtherCoversTheOneThatIsPassedByLeast) {
+  Points points({{100, 10, false, {{"/gpu", 900, {}, {}}, {"/cpu", 900, {}, {}}}},
+                 {200, 20, false, {{"/gpu", 450, {}, {}}, {"/cpu", 900, {}, {}}}},
+                 {100, 40, false, {{"/gpu", 900, {}, {}}, {"/cpu", 450, {}, {}}}}});
+  points.app.xnodes.push_back({"b", "m", {{"cpu", 1000}}});
+  points.tables.scenarios[2].wcet_scale_pct["cpu"] = 200;
+  for (Table& table : points.tables.tables) {
+    table.xpu.push_back(1);
+    table.priority.push_back(1);
+    if (!table.loss.variant.empty()) table.loss.variant.push_back(-1);
+  }
+  Files files;
+  files.text = {{"/gpu", "300\n"}, {"/cpu", "900\n"}};
+  EXPECT_EQ(points.in(files).scenario, 1);
+  files.text = {{"/gpu", "900\n"}, {"/cpu", "300\n"}};
+  EXPECT_EQ(points.in(files).scenario, 2);
 }
 
 TEST(Conditions, FilesAreReadWithinAPeriodAndNotMoreOftenThanClocksChange) {
@@ -100,8 +200,10 @@ class Watched : public testing::Test {
     folder_ = mkdtemp(path.data());
     put("900");
     tables_.scenarios = {when({{file(), 900, {}, {}}})};
+    tables_.tables = {{"one", {}, {}, {}}};
     tables_.serves = {{0, 10, 1}};
   }
+  const ScenarioOrder& order() { return order_.emplace(AppSpec{}, tables_); }
   ~Watched() override { std::filesystem::remove_all(folder_); }
   [[nodiscard]] std::string file() const { return folder_ + "/cur_freq"; }
   void put(const std::string& text) const { std::ofstream(file()) << text; }
@@ -119,20 +221,22 @@ class Watched : public testing::Test {
   }
   /// What the watch says, once it says something else than `before`.
   static Machine next(const ConditionWatch& watch, bool outside) {
-    while (watch.now().outside != outside)
+    while (watch.now().outside.empty() == outside)
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     return watch.now();
   }
 
   std::string folder_;
   Tables tables_;
+  std::optional<ScenarioOrder> order_;
   static constexpr std::int64_t kNeverNs = 3'600'000'000'000;
 };
 
 TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
   // Nothing but inotify can end these waits within the test's time limit.
-  const ConditionWatch watch(tables_, {kNeverNs, kNeverNs}, [](const Machine&) { return false; });
-  EXPECT_FALSE(watch.now().outside);
+  const ConditionWatch watch(tables_, order(), {kNeverNs, kNeverNs},
+                             [](const Machine&) { return false; });
+  EXPECT_TRUE(watch.now().outside.empty());
   put("100");
   EXPECT_EQ(next(watch, true).scenario, 0);
   replace("900");
@@ -143,7 +247,8 @@ TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
 
 TEST_F(Watched, AFileOfTheKernelIsReadByTheClock) {
   hide_writes();
-  const ConditionWatch watch(tables_, {1'000'000, kNeverNs}, [](const Machine&) { return false; });
+  const ConditionWatch watch(tables_, order(), {1'000'000, kNeverNs},
+                             [](const Machine&) { return false; });
   put("100");
   next(watch, true);
 }
@@ -152,15 +257,15 @@ TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   hide_writes();
   std::atomic<bool> too_long{false}, told{false};
   std::atomic<int> glances{0};
-  const ConditionWatch watch(tables_, {kNeverNs, 1'000'000}, [&](const Machine& machine) {
+  const ConditionWatch watch(tables_, order(), {kNeverNs, 1'000'000}, [&](const Machine& machine) {
     ++glances;
-    if (machine.outside) told = true;
+    if (!machine.outside.empty()) told = true;
     return too_long.load();
   });
   while (glances < 2) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   put("100");  // the first read is over, and no other is due
   too_long = true;
-  EXPECT_TRUE(next(watch, true).outside);
+  EXPECT_FALSE(next(watch, true).outside.empty());
   while (!told) std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
@@ -169,7 +274,7 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
   const auto begin = std::chrono::steady_clock::now();
   int writes = 0;
   {
-    const ConditionWatch watch(tables_, {kNeverNs, kNeverNs}, [&](const Machine&) {
+    const ConditionWatch watch(tables_, order(), {kNeverNs, kNeverNs}, [&](const Machine&) {
       ++glances;
       return false;
     });

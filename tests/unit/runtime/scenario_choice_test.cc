@@ -124,6 +124,40 @@ TEST_F(LossTest, NothingIsLostForAShorterWorstCase) {
   EXPECT_EQ(choice.now().table, 1);
 }
 
+TEST_F(LossTest, OutsideOfEveryScenarioMostIsLost) {
+  for (const std::int64_t worst_us : {1600, 3000}) {  // 3000: of keys, all may have one
+    for (Served& served : tables_.serves) served.worst_case_us = worst_us;
+    ScenarioChoice choice = make();
+    choice.saw(0, 1, 3 * kMilli);  // b takes 1 ms in all of them
+    EXPECT_TRUE(choice.decide(0));
+    EXPECT_EQ(choice.now().scenario, kThirdGpu);
+    EXPECT_EQ(choice.now().table, 1);
+    EXPECT_EQ(choice.now().why, Why::kOutside);
+    EXPECT_EQ(choice.now().xnode, 1);
+    choice.saw(1, 0, 2 * kMilli);
+    const std::vector<Passing> jobs = choice.passing(kThirdGpu);
+    ASSERT_EQ(jobs.size(), 2u) << "each XNode is told";
+    EXPECT_EQ(jobs[0].xnode, 0);
+    EXPECT_EQ(jobs[0].saw_ns, 2 * kMilli);
+    EXPECT_EQ(jobs[0].allowed_ns, 1'200'000);
+    EXPECT_EQ(jobs[1].xnode, 1);
+    EXPECT_EQ(jobs[1].allowed_ns, kMilli);
+  }
+}
+
+TEST_F(LossTest, ATrialThatEndsOutsideComesLaterToo) {
+  ScenarioChoice choice = make();
+  std::vector<std::int64_t> outsides;
+  for (std::int64_t t = 0; outsides.size() < 5; t += kMilli) {
+    ASSERT_LT(t, 1000 * kDwell);
+    // Where b has to wait for nobody it is in time.
+    choice.saw(choice.now().table, 1, choice.now().table == 0 ? 3 * kMilli : kMilli / 2);
+    if (choice.decide(t) && choice.now().why == Why::kOutside) outsides.push_back(t);
+  }
+  for (std::size_t i = 1; i < outsides.size(); ++i)
+    EXPECT_GE(outsides[i] - outsides[i - 1], kDwell << i) << i;
+}
+
 TEST_F(LossTest, AVariantIsHeldAgainstItsOwnWcet) {
   ScenarioChoice choice = make();
   choice.ask(kThirdGpu);
@@ -207,7 +241,8 @@ TEST_F(ChoiceTest, OutsideOfEveryScenarioIsSaidAndEndsWhenItIsOver) {
   EXPECT_EQ(choice.now().xnode, 1);
   EXPECT_EQ(choice.now().saw_ns, 3 * kMilli);
   EXPECT_EQ(choice.now().allowed_ns, 2 * kMilli);
-  EXPECT_EQ(choice.now().scenario, kHalfCpu) << "passed least; then the shortest";
+  EXPECT_EQ(choice.now().scenario, kHalfBoth)
+      << "passed as little as by others, and it covers them";
   // What people ask for is kept meanwhile.
   choice.ask(kNoGpu);
   choice.decide(1);
