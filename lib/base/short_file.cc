@@ -54,4 +54,16 @@ std::vector<std::string> files_below(const std::string& root, const std::string&
   return paths;
 }
 
+std::optional<std::int64_t> resident_kb() {
+  // statm may be off by what each CPU has not added up yet.
+  const auto text = read_short_file("/proc/self/smaps_rollup");
+  constexpr std::string_view kKey = "Rss:";
+  const std::size_t at = text ? text->find(kKey) : std::string::npos;
+  if (at == std::string::npos) return {};
+  const std::string_view rest = std::string_view(*text).substr(at + kKey.size());
+  const std::size_t end = rest.find(" kB");
+  if (end == std::string_view::npos) return {};
+  return whole_number(stripped(rest.substr(0, end)));
+}
+
 }  // namespace xauto

@@ -26,6 +26,9 @@ inline constexpr std::size_t kMaxShortFile = 256;
 /// The same of a text.
 [[nodiscard]] std::optional<std::int64_t> whole_number(std::string_view stripped_text);
 
+/// The process's resident memory, all pages counted now; nullopt: the kernel does not tell (before 4.14).
+[[nodiscard]] std::optional<std::int64_t> resident_kb();
+
 /// The files that fit a pattern of glob(7), which begins with a slash, below the folder `root`; "" is
 /// the machine's own. `root` itself is no pattern.
 [[nodiscard]] std::vector<std::string> files_below(const std::string& root,

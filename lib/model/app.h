@@ -23,6 +23,7 @@ struct VariantSpec {
   std::string name;
   std::int64_t quality_pct = 100;  ///< of the XNode's own, 1..100
   std::map<std::string, std::int64_t, std::less<>> wcet_us;
+  std::map<std::string, std::int64_t, std::less<>> memory_kb = {};  ///< as XNodeSpec's
   bool operator==(const VariantSpec&) const = default;
 };
 
@@ -37,6 +38,8 @@ struct XNodeSpec {
   /// emulated stand-in. Where it runs there, the XPU has to be real.
   std::set<std::string, std::less<>> real_on = {};
   std::vector<VariantSpec> variants = {};  ///< beside wcet_us; a set of tables may choose them
+  /// XPU type, of those in wcet_us -> what `init` added to the process's resident memory when it was measured.
+  std::map<std::string, std::int64_t, std::less<>> memory_kb = {};
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   [[nodiscard]] int find_variant(std::string_view variant) const;  ///< index or -1
@@ -148,7 +151,8 @@ inline constexpr std::size_t kMaxSources = 4096;
 inline constexpr std::size_t kMaxAppChains = 20'000;
 inline constexpr std::size_t kMaxSamples = 200'000;
 inline constexpr std::size_t kMaxTransfers = 2'000'000;
-inline constexpr std::size_t kMaxVariants = 64;  ///< of one XNode
+inline constexpr std::size_t kMaxVariants = 64;              ///< of one XNode
+inline constexpr std::int64_t kMaxMemoryKb = 1'000'000'000;  ///< a TB: sums of all instances fit
 inline constexpr std::int64_t kMaxWeight = 1000;
 inline constexpr std::int64_t kMaxInFlight = 1000;
 inline constexpr std::int64_t kMaxPpm = 100'000;  ///< a tenth: periods stay above 0

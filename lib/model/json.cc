@@ -45,6 +45,7 @@ Samples read_samples(const Reader& s, bool emulated) {
                   s["p99_us"].time(), s["max_us"].time()};
   samples.emulated = s.has("emulated") ? s["emulated"].boolean() : emulated;
   if (s.has("max_at")) samples.max_at = s["max_at"].integer(1, kMaxTimeUs);
+  if (s.has("memory_kb")) samples.memory_kb = s["memory_kb"].integer(0, kMaxMemoryKb);
   if (s.has("outlier")) {
     const Reader o = s["outlier"];
     samples.outlier = {o["count"].integer(1, kMaxTimeUs), o["max_us"].time(),
@@ -192,6 +193,7 @@ ordered_json samples_to_json(const Samples& s, bool emulated) {
                         {"p99_us", s.p99_us},
                         {"max_us", s.max_us}};
   if (s.max_at > 0) entry["max_at"] = s.max_at;
+  if (s.memory_kb) entry["memory_kb"] = *s.memory_kb;
   if (s.emulated != emulated) entry["emulated"] = s.emulated;
   if (s.outlier)
     entry["outlier"] = {{"count", s.outlier->count},

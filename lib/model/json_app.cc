@@ -21,10 +21,23 @@ std::map<std::string, std::int64_t, std::less<>> read_wcets(const Reader& reader
   return wcets;
 }
 
+/// Of the types that are in wcet_us.
+template <class Implemented>
+void read_memory(const Reader& x, Implemented& into) {
+  if (!x.has("memory_kb")) return;
+  x["memory_kb"].each_member(kMaxXpus, [&](const std::string& type, const Reader& kb) {
+    const std::int64_t value = kb.integer(0, kMaxMemoryKb);
+    if (!kb.failed() && !into.wcet_us.contains(type))
+      return kb.refuse("'" + type + "' is no key of wcet_us");
+    into.memory_kb[type] = value;
+  });
+}
+
 void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeSpec spec{x["name"].text(), x["module"].text(), {}};
     spec.wcet_us = read_wcets(x["wcet_us"]);
+    read_memory(x, spec);
     spec.sources = read_heard(x, sources);
     if (x.has("real_on"))
       x["real_on"].each_element(kMaxXpus, [&](std::size_t, const Reader& type) {
@@ -38,6 +51,7 @@ void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
         VariantSpec variant{v["name"].text()};
         if (v.has("quality_pct")) variant.quality_pct = v["quality_pct"].integer(1, 100);
         variant.wcet_us = read_wcets(v["wcet_us"]);
+        read_memory(v, variant);
         spec.variants.push_back(std::move(variant));
       });
     app.xnodes.push_back(std::move(spec));
@@ -219,9 +233,13 @@ ordered_json xnodes_to_json(const AppSpec& app) {
     write_heard(x.sources, app.sources, xnode);
     xnode["wcet_us"] = ordered_json(x.wcet_us);
     if (!x.real_on.empty()) xnode["real_on"] = x.real_on;
-    for (const VariantSpec& v : x.variants)
-      xnode["variants"].push_back(
-          {{"name", v.name}, {"quality_pct", v.quality_pct}, {"wcet_us", ordered_json(v.wcet_us)}});
+    if (!x.memory_kb.empty()) xnode["memory_kb"] = ordered_json(x.memory_kb);
+    for (const VariantSpec& v : x.variants) {
+      ordered_json variant = {
+          {"name", v.name}, {"quality_pct", v.quality_pct}, {"wcet_us", ordered_json(v.wcet_us)}};
+      if (!v.memory_kb.empty()) variant["memory_kb"] = ordered_json(v.memory_kb);
+      xnode["variants"].push_back(std::move(variant));
+    }
     xnodes.push_back(std::move(xnode));
   }
   return xnodes;

@@ -199,7 +199,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
           ErrorCode::kInvalid, "was not measured on any XPU", "XNode '" + x.name + "'",
           profile.incomplete.empty() ? "" : "the profile is incomplete: " + profile.incomplete);
     XNodeSpec spec{x.name, x.module, {}, x.sources};
-    const auto take = [&](const std::string& id, const Samples& samples, auto& wcets) -> Status {
+    const auto take = [&](const std::string& id, const Samples& samples, auto& into) -> Status {
       const int xpu = platform.find(id);
       if (xpu < 0)
         return fail(ErrorCode::kInvalid,
@@ -211,21 +211,23 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
                         std::to_string(kP99Samples),
                     "XNode '" + x.name + "' on " + id, "profile with --repetitions 100 or more");
       const std::string& type = platform.xpus[static_cast<std::size_t>(xpu)].type;
-      if (!samples.emulated && &wcets == &spec.wcet_us) spec.real_on.insert(type);
-      std::int64_t& wcet = wcets[type];
+      if (!samples.emulated && &into.wcet_us == &spec.wcet_us) spec.real_on.insert(type);
+      if (samples.memory_kb)
+        into.memory_kb[type] = std::max(into.memory_kb[type], *samples.memory_kb);
+      std::int64_t& wcet = into.wcet_us[type];
       wcet = std::max({wcet, statistic(samples, from, profile.margin_pct), std::int64_t{1}});
       return {};
     };
-    const auto take_all = [&](const auto& measured, auto& wcets) -> Status {
-      for (const auto& [id, samples] : measured.on) XAUTO_TRY(take(id, samples, wcets));
+    const auto take_all = [&](const auto& measured, auto& into) -> Status {
+      for (const auto& [id, samples] : measured.on) XAUTO_TRY(take(id, samples, into));
       for (const auto& [beside, on] : measured.beside)
-        for (const auto& [id, samples] : on) XAUTO_TRY(take(id, samples, wcets));
+        for (const auto& [id, samples] : on) XAUTO_TRY(take(id, samples, into));
       return {};
     };
-    XAUTO_TRY(take_all(x, spec.wcet_us));
+    XAUTO_TRY(take_all(x, spec));
     for (const VariantProfile& measured : x.variants) {
       VariantSpec variant{measured.name, measured.quality_pct, {}};
-      XAUTO_TRY(take_all(measured, variant.wcet_us));
+      XAUTO_TRY(take_all(measured, variant));
       if (!variant.wcet_us.empty()) spec.variants.push_back(std::move(variant));
     }
     app.xnodes.push_back(std::move(spec));

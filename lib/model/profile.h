@@ -44,6 +44,9 @@ struct Samples {
   std::int64_t max_at = 0;  ///< which sample was the longest, from 1 on; 0: not known
   std::optional<Outlier> outlier = {};
   std::map<std::string, OtherXpu, std::less<>> others = {};  ///< those whose busy time is known
+  /// By how much the process's resident memory grew in `init`: what a device has is not in it. Not of a
+  /// stand-in, nor beside a load.
+  std::optional<std::int64_t> memory_kb = {};
 
   /// Longer than twice the median: worth a look before it becomes a plan.
   [[nodiscard]] bool spread() const { return max_us > 2 * p50_us; }

@@ -227,12 +227,36 @@ Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
   return policy_under(whole, app, platform, {});
 }
 
-std::size_t instances(const Tables& tables) {
+namespace {
+
+/// XNode, variant, XPU.
+std::set<std::tuple<std::size_t, int, int>> made_by(const Tables& tables) {
   std::set<std::tuple<std::size_t, int, int>> made;
   for (const Table& table : tables.tables)
     for (std::size_t i = 0; i < table.xpu.size(); ++i)
       if (table.xpu[i] >= 0) made.emplace(i, table.loss.variant_of(i), table.xpu[i]);
-  return made.size();
+  return made;
+}
+
+}  // namespace
+
+std::size_t instances(const Tables& tables) {
+  return made_by(tables).size();
+}
+
+InstanceMemory memory_of_instances(const Tables& tables, const AppSpec& app,
+                                   const Platform& platform) {
+  InstanceMemory memory;
+  for (const auto& [i, variant, xpu] : made_by(tables)) {
+    const XNodeSpec& x = app.xnodes[i];
+    const auto& kb =
+        variant < 0 ? x.memory_kb : x.variants[static_cast<std::size_t>(variant)].memory_kb;
+    const auto at = kb.find(platform.xpus[static_cast<std::size_t>(xpu)].type);
+    if (at == kb.end()) continue;
+    memory.kb += at->second;
+    ++memory.measured;
+  }
+  return memory;
 }
 
 std::size_t moves(const Table& a, const Table& b) {

@@ -164,6 +164,13 @@ struct Objective {
 
 /// What a run makes at its start: instances of XNodes, by variant and XPU, for all tables together.
 [[nodiscard]] std::size_t instances(const Tables& tables);
+/// What that costs by app.json (XNodeSpec::memory_kb): of `measured` of the instances.
+struct InstanceMemory {
+  std::int64_t kb = 0;
+  std::size_t measured = 0;
+};
+[[nodiscard]] InstanceMemory memory_of_instances(const Tables& tables, const AppSpec& app,
+                                                 const Platform& platform);
 /// XNodes that both tables have, and have elsewhere or as another variant.
 [[nodiscard]] std::size_t moves(const Table& a, const Table& b);
 

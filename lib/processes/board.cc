@@ -19,12 +19,13 @@
 #include "model/parameter.h"
 #include "model/scenario.h"
 #include "session/distribution.h"
+#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f4c;  // "XBOL"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f4d;  // "XBOM"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
@@ -165,6 +166,30 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
     return fail(ErrorCode::kUnavailable, "the app has not started yet");
   }
   return std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
+}
+
+void SpannedLine::take(const Spanned& one) {
+  if (!nearer(one.us, one.worst_case_us, us_.load(), worst_case_us_.load())) return;
+  writes_.fetch_add(1);
+  from_.store(one.from);
+  to_.store(one.to);
+  flow_.store(one.flow);
+  us_.store(one.us);
+  worst_case_us_.store(one.worst_case_us);
+  allowed_us_.store(one.allowed_us);
+  writes_.fetch_add(1);
+}
+
+std::optional<Spanned> SpannedLine::read() const {
+  constexpr int kTries = 1000;  // a write is shorter, unless its thread is preempted or dead
+  for (int again = 0; again < kTries; ++again) {
+    const std::uint32_t before = writes_.load();
+    const Spanned one{from_.load(),          to_.load(),        flow_.load(), us_.load(),
+                      worst_case_us_.load(), allowed_us_.load()};
+    if (before % 2 != 0 || writes_.load() != before) continue;
+    return one.us < 0 ? std::nullopt : std::optional<Spanned>(one);
+  }
+  return std::nullopt;
 }
 
 void FlowLine::add(std::int64_t us, std::int64_t now_ns) {

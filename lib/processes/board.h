@@ -11,6 +11,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <xauto/result.h>
@@ -26,6 +27,31 @@ namespace xauto::runtime {
 inline constexpr std::uint32_t kMaxProcesses = 256;
 
 inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end; longer is cut
+
+/// Of a run with tables, what met a change of the scenario.
+struct Spanned {
+  std::uint32_t from = 0, to = 0;  ///< scenarios
+  std::uint32_t flow = 0;          ///< of keys the chain whose result it is; 0: a whole release
+  std::int64_t us = -1;            ///< how long it took
+  /// Of it, by the change; 0: nothing is claimed. allowed_us as FlowLine's.
+  std::int64_t worst_case_us = 0, allowed_us = 0;
+  [[nodiscard]] bool exceeds() const { return worst_case_us > 0 && us > allowed_us; }
+};
+
+/// The one that was nearest to its worst case, or beyond it by most. Its words are of one release whoever
+/// reads them.
+class SpannedLine {
+ public:
+  /// One thread at a time.
+  void take(const Spanned& one);
+  /// None: there was none, or whoever wrote it died at that.
+  [[nodiscard]] std::optional<Spanned> read() const;
+
+ private:
+  std::atomic<std::uint32_t> writes_{};  ///< odd: one is being written
+  std::atomic<std::uint32_t> from_{}, to_{}, flow_{};
+  std::atomic<std::int64_t> us_{-1}, worst_case_us_{}, allowed_us_{};
+};
 
 struct alignas(64) BoardHeader {
   std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0,
@@ -47,6 +73,7 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
   std::atomic<std::uint64_t> switches{};         ///< [H] to another table
+  SpannedLine spanned{};                         ///< [H] of all changes of the scenario
   /// [H] by keys: those of which nothing is claimed for some chain; releases that kept a table because
   /// the change before had not settled.
   std::atomic<std::uint64_t> unproven_switches{}, unsettled{};

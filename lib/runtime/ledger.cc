@@ -122,7 +122,7 @@ void Ledger::tell_chains(std::int64_t from_ns, std::size_t table) {
 }
 
 void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
-                            const Handover* change) {
+                            const Handover* change, const MetChange& met) {
   if (!role_.leads()) return;
   const Tables& tables = *context_.session.tables;
   std::vector<std::int64_t> across(routes_.size(), 0);
@@ -136,7 +136,8 @@ void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::
   const std::vector<std::int64_t> largest_us = largest_claims(tables);
   const auto longest_us = std::max_element(largest_us.begin(), largest_us.end());
   const std::int64_t before_us = longest_us == largest_us.end() ? 0 : *longest_us;
-  routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across), more_pct());
+  routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across), more_pct(),
+                met);
   routes_.claim(settled_ns, claimed_by(table), more_pct());
   tell_chains(from_ns, table);
 }

@@ -62,9 +62,12 @@ class Ledger {
 
   /// By tables of keys: what is nominally released at `from_ns` or later has `table`. `change`: what that
   /// may cost whoever meets it, until `settled_ns`. Where it claims nothing of a chain (null: of any),
-  /// nothing is claimed of that one any more. The releasing thread.
+  /// nothing is claimed of that one any more. `met`: which change of the run it is. The releasing thread.
   void claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
-                      const Handover* change);
+                      const Handover* change, const MetChange& met);
+
+  /// Of tables of keys, what met their changes; see Routes.
+  [[nodiscard]] std::vector<Routes::Met> met() const { return routes_.met(); }
 
   /// Adds counts, latencies and chains.
   void report(const std::vector<std::vector<Limits>>& limits, RunReport& into);

@@ -20,12 +20,14 @@
 #include <thread>
 #include <tuple>
 
+#include <malloc.h>
 #include <sys/utsname.h>
 
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/pi_mutex.h"
 #include "base/rt.h"
+#include "base/short_file.h"
 #include "graph/inlet.h"
 #include "model/json.h"
 #include "processes/parameters.h"
@@ -79,6 +81,9 @@ std::vector<std::string> optional_of(const Graph& graph) {
 struct Alternative {
   int xpu = -1;
   const detail::ImplSpec* impl = nullptr;
+  bool operator<(const Alternative& other) const {
+    return std::tie(xpu, impl) < std::tie(other.xpu, other.impl);
+  }
 };
 using Alternatives = std::vector<Alternative>;
 
@@ -95,6 +100,7 @@ class Run {
         session_(session),
         graph_(graph),
         samples_(graph.nodes.size()),
+        memory_kb_(graph.nodes.size()),
         machine_(session.machine_root) {
     for (const Graph::Node& node : graph.nodes) {
       alternatives_.emplace_back();
@@ -256,6 +262,9 @@ class Run {
         s = summarise(taken.us, settled_after());
         s.emulated = taken.emulated;
         p.conditions.emulated = p.conditions.emulated || s.emulated;
+        if (const auto kb = memory_kb_[n].find(where.at);
+            where.beside.empty() && kb != memory_kb_[n].end())
+          s.memory_kb = kb->second;
         for (const auto& [other, pairs] : taken.others)
           s.others[xpu(other).id] = judged(taken, other);
       }
@@ -278,8 +287,7 @@ class Run {
     std::string beside;  ///< co-run class; "": alone
     Alternative at;
     bool operator<(const Where& other) const {
-      return std::tie(beside, at.xpu, at.impl) <
-             std::tie(other.beside, other.at.xpu, other.at.impl);
+      return std::tie(beside, at) < std::tie(other.beside, other.at);
     }
   };
   /// What the XNodes of a release run on.
@@ -531,6 +539,25 @@ class Run {
     return {};
   }
 
+  /// Resident memory before the first init of that kind; nullopt: it is known, or nobody tells.
+  [[nodiscard]] std::optional<std::int64_t> memory_before(int n, const Alternative& as) {
+    {
+      const Guard lock(mutex_);
+      if (memory_kb_[static_cast<std::size_t>(n)].contains(as)) return {};
+    }
+    // Free memory that the process has kept would be taken by init without being seen.
+    malloc_trim(0);
+    return resident_kb();
+  }
+
+  void take_memory(int n, const Alternative& as, std::int64_t before_kb) {
+    const auto now_kb = resident_kb();
+    if (!now_kb) return;
+    const Guard lock(mutex_);
+    memory_kb_[static_cast<std::size_t>(n)][as] =
+        std::clamp<std::int64_t>(*now_kb - before_kb, 0, kMaxMemoryKb);
+  }
+
   /// Initialises once per XNode and instance; moves this thread to the core of a real CPU.
   Status prepare(int n, const Alternative& as) {
     const Xpu& x = xpu(as.xpu);
@@ -551,6 +578,7 @@ class Run {
       const std::string where = "init of XNode '" + node.name + "' on " + x.id;
       active_.erase(n);  // its object goes before the next one comes
       detail::Made made;
+      const auto before_kb = memory_before(n, as);
       try {
         made.handle = as.impl->init(id, made.object);
       } catch (const std::exception& e) {
@@ -564,6 +592,7 @@ class Run {
           return tl::unexpected<Error>(emulated.error());
         }
       const bool emulated = made.handle.kind() == SchedHandle::Kind::kEmulated;
+      if (before_kb && !emulated) take_memory(n, as, *before_kb);
       active_[n] = {as.xpu, as.impl, emulated, std::move(made)};
     }
     return {};
@@ -589,6 +618,8 @@ class Run {
   PiMutex mutex_;  ///< and of writing alternatives_ and variants_
   std::vector<std::map<Where, Taken>> samples_
       XAUTO_GUARDED_BY(mutex_);  ///< [node], in the order of the repetitions
+  std::vector<std::map<Alternative, std::int64_t>> memory_kb_
+      XAUTO_GUARDED_BY(mutex_);  ///< [node] that its init added
   std::string exec_of_ XAUTO_GUARDED_BY(mutex_);
   std::int64_t exec_since_ns_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< 0: none runs
   bool closed_ XAUTO_GUARDED_BY(mutex_) = false;             ///< the result was taken

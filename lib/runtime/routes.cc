@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "processes/board.h"
+#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -107,6 +108,7 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
 }
 
 void Routes::show_on(Board& board, const Grid* grid) {
+  board_ = &board;
   for (std::size_t i = 0; i < routes_.size(); ++i) {
     Route& route = routes_[i];
     route.line = &board.flow(i + 1);
@@ -120,11 +122,33 @@ void Routes::show_on(Board& board, const Grid* grid) {
 }
 
 void Routes::claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us,
-                   std::int64_t more_pct) {
+                   std::int64_t more_pct, std::optional<MetChange> change) {
   const Guard lock(*mutex_);
   while (!claims_.empty() && claims_.back().from_ns >= from_ns) claims_.pop_back();
-  claims_.push_back({from_ns, std::move(claimed_us), more_pct});
+  claims_.push_back({from_ns, std::move(claimed_us), more_pct, change});
   if (claims_.size() > kKeptClaims) claims_.pop_front();
+}
+
+/// A result of `chain` took `us`; what `claims` says is of a change.
+void Routes::meet(const Claims& claims, std::size_t chain, std::int64_t us) {
+  const MetChange& change = *claims.change;
+  const std::int64_t claimed_us = claims.claimed_us[chain];
+  auto at = met_.end();  // among the last ones: no two changes are under way
+  while (at != met_.begin() && std::prev(at)->change >= change.number) --at;
+  if (at == met_.end() || at->change != change.number)
+    at = met_.insert(at, {change.number, chain, us, claimed_us});
+  else if (nearer(us, claimed_us, at->us, at->claimed_us))
+    *at = {change.number, chain, us, claimed_us};
+  if (met_.size() > kKeptSwitches) met_.pop_front();
+  if (board_ != nullptr)
+    board_->header().spanned.take({change.from, change.to, static_cast<std::uint32_t>(chain + 1),
+                                   us, claimed_us,
+                                   claimed_us + claimed_us * claims.more_pct / 100});
+}
+
+std::vector<Routes::Met> Routes::met() const {
+  const Guard lock(*mutex_);
+  return {met_.begin(), met_.end()};
 }
 
 void Routes::have(std::int64_t from_ns, std::vector<char> chains) {
@@ -167,8 +191,9 @@ void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
     return claims.from_ns <= origin_ns;
   });
   if (claimed != claims_.rend()) {
-    const std::int64_t claimed_us =
-        claimed->claimed_us[static_cast<std::size_t>(&route - routes_.data())];
+    const auto chain = static_cast<std::size_t>(&route - routes_.data());
+    const std::int64_t claimed_us = claimed->claimed_us[chain];
+    if (claimed_us > 0 && claimed->change) meet(*claimed, chain, latency_us);
     if (claimed_us > 0 && latency_us > claimed_us + claimed_us * claimed->more_pct / 100) {
       ++counts.over_claim;
       if (latency_us - claimed_us > counts.over_us - counts.over_claimed_us) {

@@ -29,6 +29,12 @@ namespace xauto::runtime {
 class Board;
 struct FlowLine;
 
+/// Of tables of keys, a change of which something is claimed.
+struct MetChange {
+  std::uint64_t number = 0;  ///< in the order of the run's changes of the scenario
+  std::uint32_t from = 0, to = 0;
+};
+
 // In an app of version 2 a chain is app.json's, and its latency is the reduced reaction time that
 // its worst case is about: from the nominal release k to the end of the first job that knows k or a
 // newer one. Each release counts, also those that a result has skipped. Where a chain leads through
@@ -68,8 +74,17 @@ class Routes {
                                         bool urgent = false);
   /// Releases of the chains' sources from `from_ns` on, until that of the next call, are said to take at
   /// most so long (us, by chain; 0: nothing is claimed), and may take `more_pct` more. At most kKeptClaims
-  /// calls are remembered.
-  void claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us, std::int64_t more_pct = 0);
+  /// calls are remembered. `change`: these releases meet it.
+  void claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us, std::int64_t more_pct = 0,
+             std::optional<MetChange> change = {});
+  /// Of the results that met a change, the nearest to its claim.
+  struct Met {
+    std::uint64_t change = 0;
+    std::size_t chain = 0;
+    std::int64_t us = 0, claimed_us = 0;
+  };
+  /// By changes; of the last kKeptSwitches that something met.
+  [[nodiscard]] std::vector<Met> met() const;
   /// Activations released at `from_ns` or later, until that of the next call, are of a table that has these
   /// chains (by chain). A release in whose table a chain is off, or whose result waited while it was off,
   /// counts for nothing there. At most kKeptClaims calls are remembered; none: all are always there.
@@ -103,7 +118,9 @@ class Routes {
     std::int64_t from_ns = 0;
     std::vector<std::int64_t> claimed_us;  ///< [chain]
     std::int64_t more_pct = 0;
+    std::optional<MetChange> change = {};
   };
+  void meet(const Claims& claims, std::size_t chain, std::int64_t us);
   [[nodiscard]] std::uint64_t missed_for_good(const Route& route, const Unended& unended) const;
   [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
   struct Have {
@@ -122,6 +139,8 @@ class Routes {
   std::vector<Route> routes_;   ///< counts guarded by mutex_
   std::deque<Claims> claims_;   ///< likewise; by time
   std::deque<Have> haves_;      ///< likewise
+  std::deque<Met> met_;         ///< likewise; by changes
+  Board* board_ = nullptr;      ///< null: nobody looks
   std::int64_t newest_ns_ = 0;  ///< likewise; the last release of all
 };
 

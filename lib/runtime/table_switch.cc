@@ -198,7 +198,7 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
     }
     const std::int64_t too_long_ns = choice.saw_ns - choice.allowed_ns +
                                      (context_.session.emulates() ? kEmulatorStallUs * 1000 : 0);
-    put_keys(since_us, table, choice.table,
+    put_keys(since_us, table, choice,
              choice.why != Why::kOverrun ||
                  noticed_in_time(now, too_long_ns, before_ns, tables_.notice_us * 1000));
   }
@@ -210,17 +210,19 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
   tell(std::move(change), choice);
 }
 
-/// What is nominally released at `from_us` or later has table `to`, in whichever process. `in_time`: the
-/// certificate of the change counts with nothing that came earlier.
-void TableSwitch::put_keys(std::uint64_t from_us, int from, int to, bool in_time) {
-  put(from_us, to);
-  const Handover* change = handover_of(tables_, from, to);
+/// What is nominally released at `from_us` or later has the table of `to`, in whichever process. `in_time`:
+/// the certificate of the change counts with nothing that came earlier.
+void TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time) {
+  put(from_us, to.table);
+  const Handover* change = handover_of(tables_, from, to.table);
   const auto since_ns = static_cast<std::int64_t>(from_us) * 1000;
   const std::int64_t settles_ns = change == nullptr ? 0 : change->settles_us * 1000;
   const bool proven = in_time && change != nullptr && change->claims_all();
   if (!proven) context_.board.header().unproven_switches.fetch_add(1, std::memory_order_relaxed);
-  ledger_.claim_handover(since_ns, since_ns + settles_ns, static_cast<std::size_t>(to),
-                         in_time ? change : nullptr);
+  ledger_.claim_handover(since_ns, since_ns + settles_ns, static_cast<std::size_t>(to.table),
+                         in_time ? change : nullptr,
+                         {num_switches_, static_cast<std::uint32_t>(scenario_),
+                          static_cast<std::uint32_t>(to.scenario)});
   // Jobs of the next change may be too long that much before it is known.
   settled_ns_ = since_ns + settles_ns + tables_.notice_us * 1000;
 }
@@ -259,6 +261,7 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   change.held_us = held_ns / 1000;
   if (const Change* claimed = xauto::change_of(tables_, from, choice.scenario))
     change.worst_case_us = claimed->worst_case_us;
+  show_spanned(change, from, choice.scenario);
   tell(std::move(change), choice);
   return waited;
 }
@@ -280,6 +283,15 @@ void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
     if (*latency > line.longest_us.load(std::memory_order_relaxed))
       line.longest_us.store(*latency, std::memory_order_relaxed);
   }
+}
+
+/// What met the change, on the board.
+void TableSwitch::show_spanned(const SwitchReport& change, int from, int to) {
+  const std::int64_t worst_us = change.worst_case_us.value_or(0);
+  const std::int64_t more_pct = context_.session.emulates() ? kEmulatorPct : 0;
+  context_.board.header().spanned.take({static_cast<std::uint32_t>(from),
+                                        static_cast<std::uint32_t>(to), 0, change.spanned_us,
+                                        worst_us, worst_us + worst_us * more_pct / 100});
 }
 
 /// From `release` on. Known before that release is published, so by all that have it.
@@ -397,6 +409,14 @@ void TableSwitch::report(RunReport& into) {
                               line.longest_us.load(), line.worst_case_us});
   }
   into.switches.assign(switches_.begin(), switches_.end());
+  for (const Routes::Met& met : ledger_.met()) {
+    const std::uint64_t dropped = num_switches_ - switches_.size();
+    if (met.change < dropped || met.change >= num_switches_) continue;
+    SwitchReport& change = into.switches[met.change - dropped];
+    change.chain = context_.session.app.chains[met.chain].name;
+    change.spanned_us = met.us;
+    change.worst_case_us = met.claimed_us;
+  }
   into.num_switches = num_switches_;
 }
 

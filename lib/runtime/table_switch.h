@@ -95,8 +95,9 @@ class TableSwitch {
   void look(const Machine& machine) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::pair<Choice, int> choose();
   void judge(std::uint64_t below, SwitchReport* change);
+  void show_spanned(const SwitchReport& change, int from, int to);
   void put(std::uint64_t release, int table);
-  void put_keys(std::uint64_t from_us, int from, int to, bool in_time);
+  void put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time);
   void tell(SwitchReport change, const Choice& choice);
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
       XAUTO_REQUIRES(mutex_);

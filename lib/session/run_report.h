@@ -105,9 +105,11 @@ struct SwitchReport {
   std::string why;            ///< runtime::Why
   std::string detail;         ///< the job that was the reason, for people; empty: none was
   std::int64_t held_us = 0;   ///< the sensors waited so long for what was in flight
-  /// The longest release that was in flight, or had ended since the choice before; -1: there was none.
+  /// The longest release that was in flight, or had ended since the choice before; -1: there was none. Of
+  /// keys the result that met the change and was nearest to its claim, and of which chain it was.
   std::int64_t spanned_us = -1;
   std::optional<std::int64_t> worst_case_us;  ///< of such a release; empty: nothing is claimed
+  std::string chain = {};
 };
 inline constexpr std::size_t kKeptSwitches = 4096;
 

@@ -82,7 +82,8 @@ void fields(Io io, T& x) {
 template <class Io, Is<SwitchReport> T>
 void fields(Io io, T& x) {
   io("release", x.release, "from", x.from, "to", x.to, "table", x.table, "why", x.why, "detail",
-     x.detail, "held_us", x.held_us, "spanned_us", x.spanned_us, "worst_case_us", x.worst_case_us);
+     x.detail, "held_us", x.held_us, "spanned_us", x.spanned_us, "worst_case_us", x.worst_case_us,
+     "chain", x.chain);
 }
 
 template <class Io, Is<RunReport> T>

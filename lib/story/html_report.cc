@@ -132,6 +132,61 @@ std::string worst_section(const ReadTrace& trace, const TraceRelease* worst,
                     in_ms(account->publish_us), ms(account->latency_us));
 }
 
+/// Of a run with tables: its scenarios, the last changes with their reasons, and what met them.
+std::string tables_section(const ReadTrace& trace) {
+  if (trace.scenarios.empty() && trace.changes.empty()) return {};
+  const auto time = [](std::int64_t us) { return us < 0 ? std::string("-") : ms(us); };
+  std::string html = "<h2>Scenarios</h2><p class='dim'>" + html_safe(trace.verdict) + "</p>";
+  if (!trace.scenarios.empty()) {
+    html +=
+        "<table><tr><th>scenario</th><th style='text-align:left'>table</th><th>releases</th>"
+        "<th>longest, ms</th><th>worst case</th></tr>";
+    for (const TraceScenario& s : trace.scenarios)
+      html += fmt::format(
+          "<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
+          "</tr>",
+          html_safe(s.name), html_safe(s.table), s.releases, time(s.longest_us),
+          time(s.worst_case_us));
+    html += "</table>";
+  }
+  constexpr std::size_t kShown = 100;
+  const std::size_t first = trace.changes.size() - std::min(kShown, trace.changes.size());
+  html += fmt::format("<h2>Changes of the scenario: {}{}</h2>", trace.changes.size(),
+                      first > 0 ? fmt::format(", the last {}", kShown) : "");
+  if (trace.changes.empty()) return html;
+  const TraceChange* nearest = nullptr;
+  const auto share = [](const TraceChange& c) {
+    return static_cast<double>(c.spanned_us) / static_cast<double>(c.worst_case_us);
+  };
+  for (const TraceChange& c : trace.changes)
+    if (c.spanned_us >= 0 && c.worst_case_us > 0 &&
+        (nearest == nullptr || share(c) > share(*nearest)))
+      nearest = &c;
+  if (nearest != nullptr)
+    html += fmt::format(
+        "<p>Of what met a change the nearest to its worst case, {}, took {} ms of {} "
+        "({} to {}, release {}).</p>",
+        nearest->chain.empty() ? "a release" : "a result of " + html_safe(nearest->chain),
+        ms(nearest->spanned_us), ms(nearest->worst_case_us), html_safe(nearest->from),
+        html_safe(nearest->to), nearest->release);
+  html +=
+      "<table><tr><th>from release</th><th>after, s</th><th style='text-align:left'>from</th>"
+      "<th style='text-align:left'>to</th><th style='text-align:left'>table</th>"
+      "<th style='text-align:left'>why</th><th>met it, ms</th><th>worst case</th></tr>";
+  for (std::size_t i = first; i < trace.changes.size(); ++i) {
+    const TraceChange& c = trace.changes[i];
+    html += fmt::format(
+        "<tr><td>{}</td><td>{:.3f}</td><td style='text-align:left'>{}</td>"
+        "<td style='text-align:left'>{}</td><td style='text-align:left'>{}</td>"
+        "<td style='text-align:left'>{}</td><td>{}{}</td><td>{}</td></tr>",
+        c.release, static_cast<double>(std::max<std::int64_t>(0, c.at_ns - trace.begin_ns)) * 1e-9,
+        html_safe(c.from), html_safe(c.to), html_safe(c.table), html_safe(c.why),
+        time(c.spanned_us), c.chain.empty() ? "" : " of " + html_safe(c.chain),
+        time(c.worst_case_us));
+  }
+  return html + "</table>";
+}
+
 /// Time in which at least one of the slices holds, of the whole.
 double share(std::vector<std::pair<std::int64_t, std::int64_t>> spans, std::int64_t whole) {
   std::sort(spans.begin(), spans.end());
@@ -284,7 +339,7 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
     page.sections += chains_section(trace) + worst_section(trace, worst, nullptr);
     for (const TraceChain& chain : trace.chains)
       page.sections += worst_section(trace, worst_of(chain.results), &chain);
-    page.sections += load_section(trace) + "</div>";
+    page.sections += tables_section(trace) + load_section(trace) + "</div>";
     if (trace.chains.empty()) page.panels.push_back(panel_of(id_of(traces[i], i), trace, worst));
     for (Panel& panel : chain_panels(id_of(traces[i], i), policy_of(trace), trace))
       page.panels.push_back(std::move(panel));

@@ -135,20 +135,64 @@ class Painter {
   }
 
   void paint_switches() {
-    if (scene_.tables == nullptr || story_.switches.empty()) return;
+    if (scene_.tables == nullptr || (story_.switches.empty() && scene_.scenarios.empty())) return;
     const auto name_in = [](const auto& list, int at) {
       const auto i = static_cast<std::size_t>(at);
       return i < list.size() ? list[i].name : std::string("?");
     };
-    const Track track =
-        out_.add_track(root_, "tables", "from which release on another scenario counts");
-    for (const TableSwitch& s : story_.switches)
-      out_.instant(
-          track, s.at_ns,
-          fmt::format("'{}', table '{}' ({}{})", name_in(scene_.tables->scenarios, s.scenario),
-                      name_in(scene_.tables->tables, s.table), to_string(s.why),
-                      s.xnode < 0 ? "" : ": " + name(s.xnode)),
-          {"table", {{"release", static_cast<std::int64_t>(s.release)}}, {}, {}});
+    const Track track = out_.add_track(root_, "tables", scene_.verdict);
+    for (const ScenarioInfo& s : scene_.scenarios) paint_scenario(track, s);
+    // The run begins under the first one. A trace that does not reach back to that does not tell.
+    std::string from =
+        story_.overwritten + story_.lost == 0 ? name_in(scene_.tables->scenarios, 0) : "?";
+    for (const TableSwitch& s : story_.switches) {
+      const std::string to = name_in(scene_.tables->scenarios, s.scenario),
+                        table = name_in(scene_.tables->tables, s.table);
+      const ChangeInfo* told = told_of(s, to);
+      if (told != nullptr) from = told->from;
+      const std::string why =
+          std::string(to_string(s.why)) + (s.xnode < 0 ? "" : ": " + name(s.xnode));
+      Details details{"table",
+                      {{"release", static_cast<std::int64_t>(s.release)},
+                       {"from", from},
+                       {"to", to},
+                       {"table", table},
+                       {"why", why}},
+                      {},
+                      {}};
+      if (told != nullptr && told->spanned_us >= 0) {
+        if (!told->chain.empty()) details.args.emplace_back("chain", told->chain);
+        details.args.emplace_back("spanned_us", told->spanned_us);
+      }
+      if (told != nullptr && told->worst_case_us >= 0)
+        details.args.emplace_back("worst_case_us", told->worst_case_us);
+      out_.instant(track, s.at_ns,
+                   fmt::format("'{}' -> '{}', table '{}' ({})", from, to, table, why),
+                   std::move(details));
+      from = to;
+    }
+  }
+
+  /// What the report says of it; null: nothing.
+  const ChangeInfo* told_of(const TableSwitch& s, const std::string& to) const {
+    const auto at = std::find_if(
+        scene_.changes.begin(), scene_.changes.end(),
+        [&](const ChangeInfo& change) { return change.release == s.release && change.to == to; });
+    return at == scene_.changes.end() ? nullptr : &*at;
+  }
+
+  /// Of the whole run, where its trace begins.
+  void paint_scenario(Track track, const ScenarioInfo& s) {
+    Details details{"scenario",
+                    {{"scenario", s.name},
+                     {"table", s.table},
+                     {"releases", static_cast<std::int64_t>(s.releases)}},
+                    {},
+                    {}};
+    if (s.longest_us >= 0) details.args.emplace_back("longest_us", s.longest_us);
+    if (s.worst_case_us >= 0) details.args.emplace_back("worst_case_us", s.worst_case_us);
+    out_.instant(track, story_.begin_ns, fmt::format("scenario '{}', table '{}'", s.name, s.table),
+                 std::move(details));
   }
 
   const std::string& name(int xnode) const {

@@ -23,6 +23,20 @@ struct Row {
   bool exclusive = true;  ///< at most one job at a time: an overlap is a late time stamp
 };
 
+/// Of a run with tables that is over, what its report says of a scenario and of a change. -1: not known, or of a
+/// worst case: nothing is claimed.
+struct ScenarioInfo {
+  std::string name, table;
+  std::uint64_t releases = 0;
+  std::int64_t longest_us = -1, worst_case_us = -1;
+};
+struct ChangeInfo {
+  std::uint64_t release = 0;
+  std::string from, to;
+  std::string chain;  ///< of keys, whose result met it; empty: a release did
+  std::int64_t spanned_us = -1, worst_case_us = -1;
+};
+
 struct Scene {
   std::string title, note;
   std::vector<Row> rows;
@@ -32,6 +46,8 @@ struct Scene {
   std::vector<solver::Slice> plan;       ///< of one release, from its beginning
   const KeyPolicy* keys = nullptr;       ///< the run went by; null: by none
   const Tables* tables = nullptr;        ///< likewise
+  std::vector<ScenarioInfo> scenarios;   ///< empty: the run goes on
+  std::vector<ChangeInfo> changes;       ///< likewise; the last ones
   std::vector<ChainClaim> claims;        ///< [chain]; empty: nothing is claimed
   std::string verdict;                   ///< ... and what became of it in this run
 };

@@ -25,6 +25,7 @@ enum class Place : std::uint8_t {
   kPlan,
   kChain,
   kSamples,
+  kTables,
   kDone,
   kLost,
   kOverwritten,
@@ -84,7 +85,8 @@ class TraceFile {
       out_.note = d.description();
     } else if (above == Place::kRoot) {
       track.place = place_of(track.name);
-      if (track.place == Place::kChains) out_.verdict = d.description();
+      if (track.place == Place::kChains || track.place == Place::kTables)
+        out_.verdict = d.description();
     } else if (above == Place::kCounters) {
       if (track.name == "trace events lost") track.place = Place::kLost;
       if (track.name == "older trace events dropped") track.place = Place::kOverwritten;
@@ -112,9 +114,9 @@ class TraceFile {
   static Place place_of(const std::string& name) {
     for (const auto& [known, place] :
          {std::pair{"releases", Place::kReleases}, std::pair{"done", Place::kDone},
-          std::pair{"samples", Place::kSamples}, std::pair{"run", Place::kRunRows},
-          std::pair{"plan", Place::kPlanRows}, std::pair{"chains", Place::kChains},
-          std::pair{"counters", Place::kCounters}})
+          std::pair{"samples", Place::kSamples}, std::pair{"tables", Place::kTables},
+          std::pair{"run", Place::kRunRows}, std::pair{"plan", Place::kPlanRows},
+          std::pair{"chains", Place::kChains}, std::pair{"counters", Place::kCounters}})
       if (name == known) return place;
     return Place::kOther;
   }
@@ -182,6 +184,8 @@ class TraceFile {
       if (slice) take_reaction(event, track, ts);
     } else if (track.place == Place::kSamples) {
       take_sample(event, ts);
+    } else if (track.place == Place::kTables) {
+      take_table(event, ts);
     } else if (track.place == Place::kRun || track.place == Place::kPlan ||
                track.place == Place::kDone) {
       auto& list = track.place == Place::kPlan ? out_.plan : out_.run;
@@ -234,6 +238,31 @@ class TraceFile {
       else if (const auto release = released_.find(flow); release != released_.end())
         sample.release = release->second;
     for (const std::uint64_t flow : event.flow_ids()) sampled_[flow] = sample;
+  }
+
+  void take_table(const proto::TrackEvent& event, std::int64_t ts) {
+    TraceScenario scenario;
+    TraceChange change{ts, -1, {}, {}, {}, {}, {}, -1, -1};
+    for (const auto& arg : event.debug_annotations()) {
+      const bool time = is_time(arg.int_value()) && arg.int_value() >= 0;
+      if (arg.name() == "release") change.release = arg.int_value();
+      if (arg.name() == "from") change.from = arg.string_value();
+      if (arg.name() == "to") change.to = arg.string_value();
+      if (arg.name() == "why") change.why = arg.string_value();
+      if (arg.name() == "chain") change.chain = arg.string_value();
+      if (arg.name() == "scenario") scenario.name = arg.string_value();
+      if (arg.name() == "table") scenario.table = change.table = arg.string_value();
+      if (arg.name() == "releases") scenario.releases = arg.int_value();
+      if (!time) continue;
+      if (arg.name() == "spanned_us") change.spanned_us = arg.int_value();
+      if (arg.name() == "longest_us") scenario.longest_us = arg.int_value();
+      if (arg.name() == "worst_case_us")
+        scenario.worst_case_us = change.worst_case_us = arg.int_value();
+    }
+    if (event.categories_size() > 0 && event.categories(0) == "scenario")
+      out_.scenarios.push_back(std::move(scenario));
+    else
+      out_.changes.push_back(std::move(change));
   }
 
   /// Only with several rates an output has a latency of its own.

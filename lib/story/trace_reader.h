@@ -61,16 +61,31 @@ struct TraceChain {
   std::vector<TraceRelease> results;  ///< by end
 };
 
+/// Of a run with tables. -1: not told; of a worst case: nothing is claimed.
+struct TraceScenario {
+  std::string name, table;
+  std::int64_t releases = -1, longest_us = -1, worst_case_us = -1;
+};
+/// Another scenario counts, and what met that.
+struct TraceChange {
+  std::int64_t at_ns = 0, release = -1;
+  std::string from, to, table, why;
+  std::string chain;  ///< of keys, whose result met it; empty: a release did
+  std::int64_t spanned_us = -1, worst_case_us = -1;
+};
+
 struct ReadTrace {
   std::string title, note;
   std::vector<std::string> rows;
   std::vector<TraceRelease> releases;
   std::vector<TraceChain> chains;         ///< empty: one rate, `releases` are what has a latency
   std::vector<TraceReactions> reactions;  ///< of version 2
-  std::string verdict;                    ///< what became of the claims
-  std::vector<TraceSlice> run;            ///< by begin; with the outputs (category "done")
-  std::vector<TraceSlice> plan;           ///< by begin
-  std::int64_t deadline_us = -1;          ///< -1: none
+  std::vector<TraceScenario> scenarios;
+  std::vector<TraceChange> changes;  ///< by time
+  std::string verdict;               ///< what became of the claims
+  std::vector<TraceSlice> run;       ///< by begin; with the outputs (category "done")
+  std::vector<TraceSlice> plan;      ///< by begin
+  std::int64_t deadline_us = -1;     ///< -1: none
   std::int64_t lost = 0, dropped = 0;
   std::int64_t overwritten = 0;  ///< events from before `begin_ns`
   std::int64_t begin_ns = 0, end_ns = 0;

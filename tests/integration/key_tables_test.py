@@ -6,6 +6,7 @@ import collections
 import copy
 import json
 import pathlib
+import re
 import subprocess
 import tempfile
 import unittest
@@ -72,12 +73,37 @@ class KeyTables(unittest.TestCase):
             self.assertEqual(xauto("mode", *run, name).returncode, 0)
             at = top()["releases"]
             wait_for("releases after the wish", lambda: top().get("releases", 0) > at + 120, tool)
+        self.live = top()["scenario"]
         tool.terminate()
         self.assertEqual(tool.wait(timeout=60), 0, (self.folder / "err").read_text())
         report = json.loads((self.folder / "out").read_text())["runs"][0]
         self.assertEqual(report["lost_activations"], 0)
         self.assertIn("by the policy's keys", report["worst_case_of"])
         self.judge(report)
+        self.judge_changes(report)
+
+    def judge_changes(self, report):
+        """Where a change took another table, a result met it. What is claimed of that is of the two tables and its chain."""
+        serves = {s["scenario"]: s["table"] for s in self.tables["serves"]}
+        claims = {(h["from"], h["to"], c["name"]): c["worst_case_us"]
+                  for h in self.tables["handovers"] for c in h["chains"] if "worst_case_us" in c}
+        met = [s for s in report["switches"] if s["spanned_us"] is not None]
+        for s in met:
+            self.assertEqual(s["worst_case_us"], claims[serves[s["from"]], serves[s["to"]], s["chain"]])
+        for s in report["switches"]:
+            if serves[s["from"]] == serves[s["to"]]:
+                self.assertIsNone(s["spanned_us"], "no release has another table")
+        if not re.search("have no worst case", str(report["worst_case_broken"])):
+            self.assertTrue(met)
+        events = [e for e in pftrace.Trace((self.folder / "t.pftrace").read_bytes()).slices if e.category == "table"]
+        self.assertEqual([(e.args.get("chain"), e.args.get("spanned_us"), e.args.get("worst_case_us")) for e in events],
+                         [(s.get("chain"), s["spanned_us"], s.get("worst_case_us")) for s in report["switches"]])
+        if met and self.live["spanned"]:
+            live = self.live["spanned"]
+            share = max(s["spanned_us"] / s["worst_case_us"] for s in met)
+            self.assertLessEqual(live["us"] / live["worst_case_us"], share)
+            self.assertIn((live["from"], live["to"]), [(s["from"], s["to"]) for s in met])
+            self.assertIn(live["chain"], {c["name"] for c in self.app["chains"]})
 
     def judge(self, report):
         """All XNodes of an activation have one table; from one activation to the next it changes as often as the report

@@ -144,6 +144,57 @@ class RealAndEmulated(Case):
         self.assertNotIn("real_on", (self.folder / "app.json").read_text())
 
 
+class Memory(Case):
+    """What init of m.work holds, on purpose, is what profile says, and solve adds it up over all instances."""
+    HELD_MB = 48
+
+    def memory(self, *app):
+        self.profile("small", app=app)
+        return {xpu: s["memory_kb"] for xpu, s in self.on("m.work").items()}
+
+    def test_what_an_init_holds_is_measured_and_added_up(self):
+        work = self.memory(STAGES, "/dev/null", "holds", self.HELD_MB, 0)
+        self.assertEqual(len(work), len(CORES))
+        for xpu, kb in work.items():
+            self.assertAlmostEqual(kb, self.HELD_MB * 1024, delta=4096, msg=xpu)  # also where the one before was freed
+        for x in ("m.prep", "m.infer"):
+            self.assertTrue(all("memory_kb" not in s for s in self.on(x).values()), "a stand-in's says nothing")
+        app = {x["name"]: x for x in self.read("app.json")["xnodes"]}
+        self.assertEqual(app["m.work"]["memory_kb"], {"cpu": max(work.values())})
+        self.assertNotIn("memory_kb", app["m.infer"])
+        text, told = self.solve()
+        self.assertEqual((told["memory_kb"], told["memory_measured"]), (max(work.values()), 1))
+        self.assertIn(f"Memory of all instances: at least {-(-max(work.values()) // 1024)} MiB measured by profile, of 1 of "
+                      f"{told['instances']} instances (device memory not included)", text)
+        whole = self.read("app.json")
+        whole["xnodes"] = [x | {"memory_kb": dict.fromkeys(x["wcet_us"], 1000)} for x in whole["xnodes"]]
+        self.write_app(whole)
+        text, told = self.solve()
+        self.assertEqual(told["memory_kb"], 1000 * told["instances"])
+        self.assertIn(f"Memory of all instances: {-(-told['memory_kb'] // 1024)} MiB measured by profile (device", text)
+        for x in whole["xnodes"]:
+            del x["memory_kb"]
+        self.write_app(whole)
+        text, told = self.solve()
+        self.assertIsNone(told["memory_kb"])
+        self.assertIn("Memory of all instances: not measured", text)
+
+    def test_what_holds_nothing_is_small_and_known(self):
+        work = self.memory(STAGES, "/dev/null")
+        for xpu, kb in work.items():
+            self.assertLess(kb, 4096, xpu)
+
+    def write_app(self, app):
+        (self.folder / "app.json").write_text(json.dumps(app))
+
+    def solve(self):
+        (self.folder / "scenarios.json").write_text(json.dumps(
+            {"schema": "xauto.scenarios", "version": 1, "app": "stages", "scenarios": [{"name": "nominal"}]}))
+        words = ("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 1,
+                 "--time-limit-s", 1)
+        return self.good(*words).stdout, json.loads(self.good(*words, "--json").stdout)
+
+
 class EndsEarly(Case):
     def profile_and_stop(self, *app):
         tool = subprocess.Popen([XAUTO, "profile", "--platform", "small", "--warmup", "0", "--repetitions", "100000", "--out",

@@ -12,6 +12,7 @@ import tempfile
 import unittest
 
 import pftrace
+from report_test import Page
 from common import APP, DRIVING, QUEUES, TESTAPP, XAUTO, testapp_files, wait_for, xauto
 
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at 60 %", "wcet_scale_pct": {"gpu": 167}},
@@ -127,7 +128,15 @@ class Tables(unittest.TestCase):
             # Jobs that this machine makes longer may ask for more, never for less.
             self.assertIn(self.mode()["now"], covering[name])
         self.assertEqual(self.mode("--none")["was"], name)
+        worst = self.worst_so_far()
+        for shown in (xauto("status").stdout, xauto("mode", "--run", self.run_id).stdout,
+                      xauto("top", "--run", self.run_id, "--interval-ms", 50, "--once").stdout):
+            self.assertRegex(shown, r"of what met a change the nearest to its worst case, a release, took [\d.]+ ms of \*?[\d.]+ ms")
         report = self.end()
+        self.assertIn((worst["from"], worst["to"], worst["us"], worst["worst_case_us"]),
+                      [(s["from"], s["to"], s["spanned_us"], s.get("worst_case_us")) for s in report["switches"]])
+        nearest = self.nearest(report)
+        self.assertLessEqual(worst["us"] / worst["worst_case_us"], nearest["spanned_us"] / nearest["worst_case_us"])
         self.judge(report)
         # "outside": this machine stood still, and no scenario covers that; what is asked for counts all the same.
         self.assertLessEqual({s["why"] for s in report["switches"]}, {"asked", "overrun", "back", "outside"})
@@ -141,6 +150,43 @@ class Tables(unittest.TestCase):
         self.assertEqual([s.args["release"] for s in shown], [s["release"] for s in report["switches"]])
         for event, switch in zip(shown, report["switches"]):
             self.assertIn(switch["to"], event.name)
+            for key in ("from", "to", "table"):
+                self.assertEqual(event.args[key], switch[key])
+            self.assertEqual(event.args["why"].split(":")[0], switch["why"])
+            self.assertEqual(event.args.get("spanned_us"), switch["spanned_us"])
+            self.assertEqual(event.args.get("worst_case_us"), switch.get("worst_case_us"))
+        self.page_tells(report)
+
+    def page_tells(self, report):
+        done = xauto("report", "t.pftrace", "--out", "t.html", cwd=self.folder)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        page = Page((self.folder / "t.html").read_text())
+        table = lambda head: next(t[1:] for t in page.tables if t and t[0] and t[0][0] == head)
+        ms = lambda us: "-" if us is None else f"{us / 1000:.2f}"
+        self.assertEqual(table("scenario"), [[s["name"], s["table"], str(s["releases"]), ms(s["longest_us"]),
+                                              ms(s["worst_case_us"])] for s in report["scenarios"]])
+        rows = table("from release")
+        self.assertEqual([[r[0], *r[2:5], r[5].split(":")[0], *r[6:]] for r in rows],
+                         [[str(s["release"]), s["from"], s["to"], s["table"], s["why"], ms(s["spanned_us"]),
+                           ms(s.get("worst_case_us"))] for s in report["switches"]])
+        self.assertIn("Of what met a change the nearest to its worst case, a release, took "
+                      f"{ms(self.nearest(report)['spanned_us'])} ms of", page.text)
+
+    @staticmethod
+    def nearest(report):
+        """Of the releases that met a change and of which something is claimed."""
+        met = [s for s in report["switches"] if s.get("worst_case_us") and s["spanned_us"] is not None]
+        return max(met, key=lambda s: s["spanned_us"] / s["worst_case_us"])
+
+    def worst_so_far(self):
+        """As `mode`, `top` and `status` have it, which look one after the other; the last one."""
+        words = ("--run", self.run_id, "--json")
+        seen = [self.mode()["spanned"], json.loads(xauto("top", *words, "--interval-ms", 50, "--once").stdout)["scenario"]["spanned"]]
+        status = [s for run, s in json.loads(xauto("status", "--json").stdout)["scenario"].items() if run.endswith(self.run_id)]
+        seen.append(status[0]["spanned"])
+        shares = [s["us"] / s["worst_case_us"] for s in seen]
+        self.assertEqual(shares, sorted(shares))
+        return seen[-1]
 
     def test_so_do_modules_in_processes_of_their_own(self):
         self.switch_about("--isolate")

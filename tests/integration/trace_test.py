@@ -133,6 +133,37 @@ class Trace(unittest.TestCase):
         self.assertEqual(answers[0].returncode, 0, answers[0].stderr)
         self.assertEqual(answers[0].stdout, answers[1].stdout)
 
+    def test_tells_which_scenario_counts(self):
+        """... and what met a change, as `xauto mode` does: nothing changes in between."""
+        app = json.loads(pathlib.Path(APP).read_text())
+        for xnode in app["xnodes"]:  # no job of this machine is too long
+            xnode["wcet_us"] = {kind: 1000 * us for kind, us in xnode["wcet_us"].items()}
+        app.pop("deadline_us", None)
+        folder = pathlib.Path(self.dir.name)
+        write = lambda name, value: (folder / name).write_text(json.dumps(value))
+        write("app.json", app)
+        write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": [
+            {"name": "nominal"}, {"name": "GPU slow", "wcet_scale_pct": {"gpu": 150}}]})
+        done = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 2,
+                     "--time-limit-s", 2, "--out", "tables.json", cwd=folder)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        run = subprocess.Popen([XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", "tables.json",
+                                "--activations", "0", "--period-us", "60000", "--", DRIVING], cwd=folder,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.addCleanup(lambda: (run.kill(), run.wait()))
+        words = ("--run", f"{run.pid}-0", "--wait-s", 10)
+        mode = lambda *more: json.loads(xauto("mode", *words, "--json", *more).stdout or "{}")
+        wait_for("the run", lambda: any(s["releases"] > 1 for s in mode().get("scenarios", [])), run)
+        mode("GPU slow")
+        wait_for("the change", lambda: (mode().get("spanned") or {}).get("to") == "GPU slow", run)
+        known = mode()
+        self.assertEqual(known["now"], "GPU slow")
+        told = json.loads(xauto("trace", *words, "--duration-s", 1, "--json").stdout)["scenario"]
+        self.assertEqual((told["name"], told["why"], told["spanned"]), (known["now"], known["why"], known["spanned"]))
+        text = xauto("trace", *words, "--duration-s", 1).stdout
+        self.assertIn("scenario 'GPU slow' (asked), table '", text)
+        self.assertIn("of what met a change the nearest to its worst case, a release, took", text)
+
     def test_top_shows_load_and_xnodes(self):
         run = self.drive()
         def look():

@@ -41,6 +41,7 @@ Result<int> list(const Watched& run, const Options& options) {
                       {"why", now.why},
                       {"asked", now.asked.empty() ? Json() : Json(now.asked)},
                       {"switches", now.switches},
+                      {"spanned", spanned_json(counts)},
                       {"scenarios", std::move(all)}}
                      .dump(2)
               << "\n";
@@ -59,6 +60,7 @@ Result<int> list(const Watched& run, const Options& options) {
                              one.releases == 0 || one.longest_us < 0 ? "-" : ms(one.longest_us),
                              one.name == now.asked ? "  asked for" : "");
   }
+  if (counts.spanned) std::cout << "\n" << spanned_text(counts);
   return kDone;
 }
 

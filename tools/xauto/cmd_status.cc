@@ -108,13 +108,7 @@ int status(const Options& options) {
     }
     Json all = {{"sessions", std::move(runs_of)}};
     for (const auto& [run, counts] : looks) {
-      if (counts.scenario)
-        all["scenario"][(prefix + run).c_str()] = {
-            {"name", counts.scenario->name},
-            {"table", counts.scenario->table},
-            {"why", counts.scenario->why},
-            {"asked", counts.scenario->asked.empty() ? Json() : Json(counts.scenario->asked)},
-            {"switches", counts.scenario->switches}};
+      if (counts.scenario) all["scenario"][(prefix + run).c_str()] = scenario_json(counts);
       if (!counts.claims.claimed) continue;
       Json chains = Json::array();
       const auto measured = [](std::int64_t us) { return us < 0 ? Json() : Json(us); };

@@ -167,12 +167,7 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
   }
   if (c.claims.claimed)
     j["claims"] = {{"exceeded", c.claims.exceeded}, {"broken", c.claims.broken}};
-  if (c.scenario)
-    j["scenario"] = {{"name", c.scenario->name},
-                     {"table", c.scenario->table},
-                     {"why", c.scenario->why},
-                     {"asked", c.scenario->asked.empty() ? Json() : Json(c.scenario->asked)},
-                     {"switches", c.scenario->switches}};
+  if (c.scenario) j["scenario"] = scenario_json(c);
   j["modules"] = Json::array();
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
     const ModuleCounts& module = c.modules[m];

@@ -115,6 +115,9 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
   log::info("tracing run {}; maps are pinned below {}", live.maps.run(),
             kernel::RunMaps::folder(live.maps.run()));
 
+  // Of a run with tables: its counts outlive it.
+  const auto watched = watch(live.maps.run(), 1, *stop.flag());
+
   std::vector<xauto_bpf_event> events;
   std::uint64_t not_kept = 0;
   const auto keep = [&](const xauto_bpf_event& e) {
@@ -134,6 +137,8 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
   }
   const std::string first = losses_line(live.tracer.losses(), not_kept);
 
+  const Counts counts = watched ? counts_of(*watched->board) : Counts();
+
   const std::vector<xauto_bpf_hist> hist = live.tracer.histograms();
   const xauto_bpf_hist zero{};
   if (options.json) {
@@ -142,6 +147,7 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
     j["complete"] = first.rfind("complete", 0) == 0;
     j["lost"] = {
         {"events", losses.events + not_kept}, {"jobs", losses.jobs}, {"pipe", losses.pipe}};
+    if (counts.scenario) j["scenario"] = scenario_json(counts);
     j["events"] = events.size() + not_kept;  // more may have been written since the last look
     j["xnodes"] = Json::array();
     for (std::size_t i = 0; i < hist.size(); ++i) {
@@ -185,6 +191,7 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
         measured_text(n.wait_p99_us), n.preemptions, n.migrations);
   }
   std::cout
+      << scenario_text(counts)
       << "\n  us; p50 and p99 are upper edges of powers of two; run and wait per job on a CPU\n";
   if (!flags.out.empty()) outputs.write(flags.out, file_of(flags, live, events, not_kept));
   return outputs.status(kDone);

@@ -71,7 +71,8 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
     claims.exceeded = claims.exceeded || chain.exceeds();
   }
   claims.claimed = claims.claimed || counts.whole.worst_case_us > 0;
-  claims.exceeded = claims.exceeded || counts.whole.exceeds();
+  const auto spanned = board.header().spanned.read();
+  claims.exceeded = claims.exceeded || counts.whole.exceeds() || (spanned && spanned->exceeds());
   const bool keys = claims.claimed && !one_policy && !tables;
 
   const auto broken = [&](std::string line) {
@@ -175,6 +176,26 @@ ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index) {
   return counts;
 }
 
+namespace {
+
+/// The app may write there what it likes.
+std::optional<SpannedCounts> spanned_of(const runtime::Board& board) {
+  const auto spanned = board.header().spanned.read();
+  const runtime::BoardShape& shape = board.shape();
+  if (!spanned || spanned->from >= shape.scenarios || spanned->to >= shape.scenarios ||
+      spanned->flow >= shape.flows)
+    return {};
+  return SpannedCounts{
+      runtime::line_name(board.scenario(spanned->from).name),
+      runtime::line_name(board.scenario(spanned->to).name),
+      spanned->flow == 0 ? "" : runtime::line_name(board.flow(spanned->flow).name),
+      spanned->us,
+      spanned->worst_case_us,
+  };
+}
+
+}  // namespace
+
 Counts counts_of(const runtime::Board& board) {
   Counts counts;
   counts.at_ns = now_ns();
@@ -212,9 +233,46 @@ Counts counts_of(const runtime::Board& board) {
     counts.whole.worst_case_us = counts.scenario->worst_case_us;
     counts.whole.allowed_us = counts.scenario->allowed_us;
     for (const ScenarioCounts& one : counts.scenarios) counts.whole.over += one.over;
+    counts.spanned = spanned_of(board);
   }
   counts.claims = claims_of(board, counts);
   return counts;
+}
+
+std::string scenario_text(const Counts& counts) {
+  if (!counts.scenario) return {};
+  const ScenarioCounts& s = *counts.scenario;
+  return fmt::format("\n  scenario '{}' ({}), table '{}'; {} change{} of the table{}\n", s.name,
+                     s.why, s.table, s.switches, s.switches == 1 ? "" : "s",
+                     s.asked.empty() ? "" : ", asked for is '" + s.asked + "'") +
+         spanned_text(counts);
+}
+
+std::string spanned_text(const Counts& counts) {
+  if (!counts.spanned) return {};
+  const SpannedCounts& s = *counts.spanned;
+  return "  " +
+         runtime::words_of_nearest(s.chain, s.us, s.worst_case_us, s.from, s.to,
+                                   counts.claims.kept() ? "" : "*") +
+         "\n";
+}
+
+Json spanned_json(const Counts& counts) {
+  if (!counts.spanned) return {};
+  const SpannedCounts& s = *counts.spanned;
+  Json json = {{"from", s.from},
+               {"to", s.to},
+               {"us", s.us},
+               {"worst_case_us", s.worst_case_us > 0 ? Json(s.worst_case_us) : Json()}};
+  if (!s.chain.empty()) json["chain"] = s.chain;
+  return json;
+}
+
+Json scenario_json(const Counts& counts) {
+  const ScenarioCounts& s = *counts.scenario;
+  return {{"name", s.name},         {"table", s.table},
+          {"why", s.why},           {"asked", s.asked.empty() ? Json() : Json(s.asked)},
+          {"switches", s.switches}, {"spanned", spanned_json(counts)}};
 }
 
 std::int64_t quantile_us(const std::vector<std::uint64_t>& buckets, double q) {

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "model/json_value.h"
 #include "processes/board.h"
 
 namespace xauto::cli {
@@ -58,6 +59,8 @@ struct ClaimCounts {
   std::vector<std::string> broken;    ///< a line for each assumption that is broken
   std::vector<Violation> violations;  ///< every kind, also those that did not happen
   [[nodiscard]] bool stands() const { return claimed && broken.empty(); }
+  /// Nothing was broken, and nothing took longer.
+  [[nodiscard]] bool kept() const { return broken.empty() && !exceeded; }
 };
 
 struct XpuCounts {
@@ -74,6 +77,13 @@ struct ScenarioCounts {
   std::int64_t longest_us = -1, worst_case_us = 0, allowed_us = 0;
 };
 
+/// ... of all that met a change of the scenario, what was nearest to its worst case.
+struct SpannedCounts {
+  std::string from, to;                    ///< scenarios
+  std::string chain;                       ///< of keys, whose result it is; empty: a whole release
+  std::int64_t us = 0, worst_case_us = 0;  ///< worst_case_us: 0: nothing is claimed
+};
+
 struct Counts {
   std::int64_t at_ns = 0;
   std::uint64_t released = 0;
@@ -83,6 +93,7 @@ struct Counts {
   ClaimCounts claims;
   std::optional<ScenarioCounts> scenario;  ///< none: there is one policy
   std::vector<ScenarioCounts> scenarios;   ///< all of them
+  std::optional<SpannedCounts> spanned;    ///< none: nothing met a change so far
   std::vector<XpuCounts> xpus;
   /// Releases are counted, by `whole`; as far as can be told before the first one.
   [[nodiscard]] bool single_rate() const {
@@ -96,6 +107,14 @@ struct Counts {
 
 /// Of a run with tables, one of its scenarios; `why` and `asked` of the one in force.
 [[nodiscard]] ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index);
+
+/// Which scenario counts, and why, and what met a change; empty of runs without tables.
+[[nodiscard]] std::string scenario_text(const Counts& counts);
+/// The same, of a run with tables.
+[[nodiscard]] Json scenario_json(const Counts& counts);
+/// What met a change; null: nothing did.
+[[nodiscard]] Json spanned_json(const Counts& counts);
+[[nodiscard]] std::string spanned_text(const Counts& counts);
 
 /// One flow over the time between two looks.
 struct FlowNumbers {

@@ -186,7 +186,7 @@ std::vector<XpuStatus> ask_coordinators(const std::string& run) {
 
 std::string claims_text(const Counts& counts) {
   if (!counts.claims.claimed) return {};
-  const bool stands = counts.claims.broken.empty() && !counts.claims.exceeded;
+  const bool stands = counts.claims.kept();
   const auto in_ms = [](std::int64_t us) {
     return us < 0 ? std::string("-") : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
   };
@@ -214,14 +214,6 @@ std::string claims_text(const Counts& counts) {
   }
   return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
                            verdict(counts.claims.exceeded, counts.claims.broken));
-}
-
-std::string scenario_text(const Counts& counts) {
-  if (!counts.scenario) return {};
-  const ScenarioCounts& s = *counts.scenario;
-  return fmt::format("\n  scenario '{}' ({}), table '{}'; {} change{} of the table{}\n", s.name,
-                     s.why, s.table, s.switches, s.switches == 1 ? "" : "s",
-                     s.asked.empty() ? "" : ", asked for is '" + s.asked + "'");
 }
 
 bool Live::goes_on() const {

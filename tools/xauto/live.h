@@ -49,9 +49,6 @@ struct Watched {
 /// of it, and whether that holds so far. Empty of other runs.
 [[nodiscard]] std::string claims_text(const Counts& counts);
 
-/// Which scenario counts, and why; empty of runs without tables.
-[[nodiscard]] std::string scenario_text(const Counts& counts);
-
 struct Live {
   kernel::RunMaps maps;
   std::vector<kernel::XNodeName> names;

@@ -265,6 +265,16 @@ std::string beside(std::int64_t us, std::int64_t simulated_us) {
   return times < 10 ? fmt::format("{:+.1f} %", 100 * (times - 1)) : fmt::format("{:.0f} x", times);
 }
 
+/// What met a change.
+std::string nearest_text(const runtime::RunReport& report) {
+  const runtime::SwitchReport* s = runtime::nearest(report);
+  if (s == nullptr) return {};
+  return "  " +
+         runtime::words_of_nearest(s->chain, s->spanned_us, s->worst_case_us.value_or(0), s->from,
+                                   s->to) +
+         "\n";
+}
+
 /// Of tables of keys: releases of all sources, each with its own clock's. What is claimed is of chains.
 std::string key_tables_text(const PolicyRun& run) {
   const runtime::RunReport& report = run.report;
@@ -275,8 +285,10 @@ std::string key_tables_text(const PolicyRun& run) {
   for (const runtime::ScenarioReport& s : report.scenarios)
     if (s.releases > 0)
       out += fmt::format("  {:<{}}  {:<10}{:>10}\n", s.name, width, s.table, s.releases);
-  return out + fmt::format("\n  {} change{} of the scenario\n", report.num_switches,
-                           report.num_switches == 1 ? "" : "s");
+  return out +
+         fmt::format("\n  {} change{} of the scenario\n", report.num_switches,
+                     report.num_switches == 1 ? "" : "s") +
+         nearest_text(report);
 }
 
 /// The last changes.
@@ -304,28 +316,15 @@ std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims
       out += fmt::format("  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", s.name, width, s.table, s.releases,
                          in_ms(s.longest_us, s.releases), in_ms(s.worst_case_us, 1));
   std::int64_t held_us = 0;
-  const runtime::SwitchReport* worst = nullptr;
-  const auto share = [](const runtime::SwitchReport& s) {
-    return static_cast<double>(s.spanned_us) / static_cast<double>(*s.worst_case_us);
-  };
-  for (const runtime::SwitchReport& s : report.switches) {
-    held_us = std::max(held_us, s.held_us);
-    if (s.worst_case_us && *s.worst_case_us > 0 && s.spanned_us >= 0 &&
-        (worst == nullptr || share(s) > share(*worst)))
-      worst = &s;
-  }
+  for (const runtime::SwitchReport& s : report.switches) held_us = std::max(held_us, s.held_us);
   out += fmt::format("\n  {} change{} of the scenario", report.num_switches,
                      report.num_switches == 1 ? "" : "s");
   if (report.num_switches > 0)
     out +=
         fmt::format("; a release waited at most {} ms for what was in flight", in_ms(held_us, 1));
   out += "\n";
-  if (worst != nullptr)
-    out += fmt::format(
-        "  of the releases that met one the nearest to its worst case took {} ms of "
-        "{} ('{}' to '{}')\n",
-        in_ms(worst->spanned_us, 1), in_ms(*worst->worst_case_us, 1), worst->from, worst->to);
-  return out + changes_text(report) + fmt::format("  {}: {}\n", run.name, to_string(claims));
+  return out + nearest_text(report) + changes_text(report) +
+         fmt::format("  {}: {}\n", run.name, to_string(claims));
 }
 
 }  // namespace
@@ -596,6 +595,12 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   if (run.tables) {
     scene.tables = &*run.tables;
     scene.claims = claimed_chains(run);
+    for (const runtime::ScenarioReport& s : run.report.scenarios)
+      scene.scenarios.push_back(
+          {s.name, s.table, s.releases, s.longest_us, s.worst_case_us > 0 ? s.worst_case_us : -1});
+    for (const runtime::SwitchReport& s : run.report.switches)
+      scene.changes.push_back(
+          {s.release, s.from, s.to, s.chain, s.spanned_us, s.worst_case_us.value_or(-1)});
   }
   scene.verdict = std::move(verdict);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());

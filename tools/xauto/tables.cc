@@ -110,7 +110,16 @@ bool in_time(const Tables& tables, std::size_t table, const AppSpec& app) {
   return true;
 }
 
-void print_tables(const AppSpec& app, const Tables& tables) {
+/// What all instances add to the memory of the app's processes when a run starts.
+std::string memory_text(const InstanceMemory& memory, std::size_t all) {
+  if (memory.measured == 0) return "not measured (`xauto profile` does, where stages are real)";
+  return fmt::format(
+      "{}{} MiB measured by profile{} (device memory not included)",
+      memory.measured < all ? "at least " : "", (memory.kb + 1023) / 1024,
+      memory.measured < all ? fmt::format(", of {} of {} instances", memory.measured, all) : "");
+}
+
+void print_tables(const AppSpec& app, const Platform& platform, const Tables& tables) {
   std::size_t width = 8, table_width = 10;
   for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
   for (const Table& t : tables.tables) table_width = std::max(table_width, t.name.size());
@@ -171,6 +180,8 @@ void print_tables(const AppSpec& app, const Tables& tables) {
         "%zu XNodes move.\n",
         instances(tables), app.xnodes.size(), most);
   }
+  std::printf("  Memory of all instances: %s.\n",
+              memory_text(memory_of_instances(tables, app, platform), instances(tables)).c_str());
   if (by_keys) print_chains(app, tables);
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
@@ -210,9 +221,12 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
     Json root = Json::parse(to_json(tables, app, platform)).value_or(Json());
     root["worst_regret"] = tables.worst_regret();
     root["instances"] = instances(tables);
+    const InstanceMemory memory = memory_of_instances(tables, app, platform);
+    root["memory_kb"] = memory.measured > 0 ? Json(memory.kb) : Json();
+    root["memory_measured"] = memory.measured;
     std::cout << root.dump(2) << "\n";
   } else {
-    print_tables(app, tables);
+    print_tables(app, platform, tables);
   }
   std::fflush(stdout);
   if (!out.empty()) outputs.write(out, to_json(tables, app, platform));

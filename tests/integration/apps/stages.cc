@@ -7,18 +7,19 @@
 //            m.work   computes
 //            m.infer  a stand-in on the GPU
 //
-//   stages FILE [hang N XPU | once N MS | each K MS]
+//   stages FILE [hang N XPU | once N MS | each K MS | holds MB 0]
 //
 // FILE gets, at the end, a line per message of out: its number and what m.work made of it; then
 // "cores" and the cores that m.work's thread was bound to, if it was bound to one.
 // hang: m.work's Nth exec on an XPU of that name never returns; once: its Nth takes so much longer;
-// each: every one for release K does. A line on stderr tells of m.work's 20th exec.
+// each: every one for release K does; holds: what m.work's init makes has so many MB. A line on stderr tells of m.work's 20th exec.
 #include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
+#include <memory>
 #include <optional>
 #include <set>
 #include <stdexcept>
@@ -94,9 +95,11 @@ int main(int argc, char** argv) {
       xauto::XPU::CPU,
       [&](const xauto::XpuId& xpu) {
         here = xpu.name;
-        return xauto::SchedHandle::thread();
+        auto held = std::make_unique<std::vector<char>>();
+        if (fault == "holds") held->assign(at << 20, 1);
+        return xauto::own(std::move(held), xauto::SchedHandle::thread());
       },
-      [&](State& state, const xauto::Input& input) {
+      [&](std::vector<char>&, State& state, const xauto::Input& input) {
         cores.insert(bound_to());
         state.value = compute(input.get(image));
         if (++execs == 20) std::fputs("stages: m.work has run 20 times\n", stderr);

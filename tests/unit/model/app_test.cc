@@ -5,6 +5,7 @@
 
 #include "model/json.h"
 #include "model/profile.h"
+#include "model/tables.h"
 
 namespace xauto {
 namespace {
@@ -164,6 +165,56 @@ TEST(Profile, WhereItWasNoStandInItIsReal) {
   const auto read = parse_app(to_json(app), "app.json");
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(*read, app);
+}
+
+/// By type the most of its instances; of a type of which nothing is known there is no number.
+TEST(Profile, WhatInitAddedToTheMemoryIsToldByType) {
+  const Platform platform = Platform::builtin("small").value();
+  Profile profile;
+  profile.app = "a";
+  const Samples samples{9, 1, 2, 3, 4};
+  profile.xnodes = {{"x", "M", {{"cpu0", samples}, {"cpu1", samples}, {"gpu0", samples}}}};
+  profile.xnodes[0].on["cpu0"].memory_kb = 0;
+  profile.xnodes[0].on["cpu1"].memory_kb = 2048;
+  profile.xnodes[0].variants = {{"small", 50, {{"gpu0", samples}}}};
+  profile.xnodes[0].variants[0].on["gpu0"].memory_kb = 7;
+  const auto again = parse_profile(to_json(profile), "profile.json");
+  ASSERT_TRUE(again) << again.error().to_string();
+  EXPECT_EQ(*again, profile);
+  const AppSpec app = to_app(profile, platform, WcetFrom::kMaxPlusMargin).value();
+  using Kb = std::map<std::string, std::int64_t, std::less<>>;
+  EXPECT_EQ(app.xnodes[0].memory_kb, (Kb{{"cpu", 2048}}));
+  EXPECT_EQ(app.xnodes[0].variants[0].memory_kb, (Kb{{"gpu", 7}}));
+  const auto read = parse_app(to_json(app), "app.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, app);
+  AppSpec without = app;
+  without.xnodes[0].memory_kb.clear();
+  EXPECT_EQ(without.hash(), app.hash()) << "a policy does not depend on it";
+}
+
+TEST(Tables, TheMemoryOfAllInstancesCountsEachOnce) {
+  const Platform platform = Platform::builtin("small").value();
+  const int cpu0 = platform.find("cpu0"), cpu1 = platform.find("cpu1"),
+            gpu0 = platform.find("gpu0");
+  AppSpec app = chain(2);
+  app.xnodes[0].wcet_us["gpu"] = 50;
+  app.xnodes[0].memory_kb = {{"cpu", 100}, {"gpu", 3000}};
+  app.xnodes[0].variants = {{"small", 50, {{"cpu", 1}}, {{"cpu", 20}}}};
+  Tables tables;
+  const auto table = [](std::vector<int> xpu, Loss loss = {}) {
+    return Table{"t", std::move(xpu), {1, 2}, {}, std::move(loss)};
+  };
+  tables.tables = {table({cpu0, cpu0}), table({gpu0, cpu0}), table({cpu0, cpu1})};
+  const auto memory = [&] { return memory_of_instances(tables, app, platform); };
+  EXPECT_EQ(instances(tables), 4u);
+  EXPECT_EQ(memory().kb, 3100) << "nobody knows of n1";
+  EXPECT_EQ(memory().measured, 2u);
+  tables.tables.push_back(table({cpu0, -1}, {{0, -1}, {}}));
+  EXPECT_EQ(memory().kb, 3120);
+  app.xnodes[1].memory_kb = {{"cpu", 0}};
+  EXPECT_EQ(memory().measured, instances(tables)) << "measured, and nothing";
+  EXPECT_EQ(memory().kb, 3120);
 }
 
 TEST(Profile, WhatComesBackIsNoOutlier) {

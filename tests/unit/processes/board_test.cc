@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "processes/board.h"
 
+#include <atomic>
+#include <thread>
+#include <tuple>
+
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/mman.h>
@@ -55,6 +59,52 @@ TEST(Board, IsReadByOneWhoCannotWriteIt) {
   EXPECT_EQ((*seen)->unkept(), "");
   (*board)->tell_unkept(std::string(5'000, 'u'));
   EXPECT_EQ((*seen)->unkept(), std::string(kBoardTextBytes - 1, 'u'));
+}
+
+TEST(Board, WhatWasNearestToTheClaimOfAChangeIsKept) {
+  SpannedLine line;
+  EXPECT_FALSE(line.read());
+  line.take({0, 1, 0, -1, 100, 100});  // nothing met the change
+  EXPECT_FALSE(line.read());
+  line.take({0, 1, 0, 900, 0, 0});
+  EXPECT_EQ(line.read()->us, 900) << "nothing is claimed of it, but there is no other";
+  line.take({0, 1, 0, 800, 0, 0});
+  EXPECT_EQ(line.read()->us, 900);
+  line.take({1, 2, 3, 40, 100, 102});
+  EXPECT_EQ(line.read()->us, 40) << "something is claimed of this one";
+  line.take({2, 0, 0, 5'000, 0, 0});
+  line.take({2, 0, 0, 399, 1'000, 1'020});
+  EXPECT_EQ(line.read()->us, 40) << "0.40 is nearer than 0.399";
+  EXPECT_FALSE(line.read()->exceeds());
+  line.take({2, 0, 4, 103, 100, 102});
+  const auto worst = line.read();
+  ASSERT_TRUE(worst);
+  EXPECT_EQ(std::tuple(worst->from, worst->to, worst->flow, worst->us, worst->worst_case_us),
+            std::tuple(2u, 0u, 4u, std::int64_t{103}, std::int64_t{100}));
+  EXPECT_TRUE(worst->exceeds());
+}
+
+TEST(Board, WhatMetAChangeIsOfOneReleaseWhoeverReadsIt) {
+  SpannedLine line;
+  std::atomic<bool> over{false};
+  std::thread writer([&] {
+    for (std::uint32_t n = 1; n <= 200'000; ++n) {  // each nearer than the one before
+      const std::int64_t us = n;
+      line.take({n, n, n, us, 1'000'000, us});
+    }
+    over = true;
+  });
+  std::uint32_t torn = 0, last = 0;
+  while (!over)
+    if (const auto one = line.read()) {
+      const std::int64_t us = one->us;
+      torn += one->from != us || one->to != us || one->flow != us || one->allowed_us != us ? 1 : 0;
+      EXPECT_GE(one->flow, last);
+      last = one->flow;
+    }
+  writer.join();
+  EXPECT_EQ(torn, 0u);
+  EXPECT_EQ(line.read()->us, 200'000);
 }
 
 TEST(Board, AFlowTellsWhatWasLongerThanClaimedAndWhenTheLastResultWasInTime) {

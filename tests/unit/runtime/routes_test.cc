@@ -369,6 +369,43 @@ TEST(Routes, EachReleaseIsHeldAgainstItsOwnClaim) {
       << "what is claimed, without it";
 }
 
+/// Of each change the result that was nearest to its claim; of all of them one on the board.
+TEST(Routes, WhatMetAChangeIsToldBesideItsClaim) {
+  Deployment d;
+  d.chains = {{"x", "lidar", "Fuse", {}, {}}, {"y", "lidar", "Fuse", {}, {}}};
+  auto routes = Routes::make(make_graph(true), {}, d, {});
+  ASSERT_TRUE(routes);
+  const auto board = Board::local({.modules = 3, .flows = 3, .scenarios = 3});
+  routes->show_on(*board);
+  const auto result = [&](std::int64_t origin_us, std::int64_t takes_us) {
+    routes->published(0, origin_us * 1000, nullptr, (origin_us + takes_us) * 1000);
+  };
+  routes->claim(0, {20, 30});
+  result(500, 19);
+  EXPECT_TRUE(routes->met().empty()) << "it met no change";
+  EXPECT_FALSE(board->header().spanned.read());
+  routes->claim(1'000'000, {50, 40}, 2, MetChange{7, 0, 2});
+  routes->claim(2'000'000, {20, 30});
+  for (const std::int64_t us : {10, 30, 20}) result(1000 + us, us);
+  result(2500, 20);  // nearer to its claim, but it met no change
+  routes->claim(3'000'000, {0, 100}, 2, MetChange{9, 2, 1});  // nothing is claimed of x
+  routes->claim(4'000'000, {20, 30});
+  result(3100, 60);
+  const auto met = routes->met();
+  ASSERT_EQ(met.size(), 2u);
+  EXPECT_EQ(std::tuple(met[0].change, met[0].chain, met[0].us, met[0].claimed_us),
+            std::tuple(7u, 1u, std::int64_t{30}, std::int64_t{40}));
+  EXPECT_EQ(std::tuple(met[1].change, met[1].chain, met[1].us, met[1].claimed_us),
+            std::tuple(9u, 1u, std::int64_t{60}, std::int64_t{100}));
+  const auto worst = board->header().spanned.read();
+  ASSERT_TRUE(worst);
+  EXPECT_EQ(std::tuple(worst->from, worst->to, worst->flow, worst->us, worst->worst_case_us),
+            std::tuple(0u, 2u, 2u, std::int64_t{30}, std::int64_t{40}));
+  result(1900, 35);  // a late one of the first change
+  EXPECT_EQ(routes->met().size(), 2u);
+  EXPECT_EQ(routes->met()[0].us, 35);
+}
+
 /// A table without the chain: nobody waits for a result of its releases, nor for those that had none yet.
 TEST(Routes, WhatIsOffIsNeitherLateNorOld) {
   Deployment d;

@@ -375,6 +375,54 @@ TEST(Report, ThePageHoldsTheNumbersAndEscapesNames) {
   EXPECT_NE(page.find("<td>BIG</td><td>2</td><td>0.72</td>"), std::string::npos);
 }
 
+/// Two changes of the scenario, the second of which the run's report does not have (any more).
+TEST(Report, ThePageAndTheTraceTellChangesOfTheScenario) {
+  Tiny tiny;
+  Tables tables;
+  tables.scenarios = {Scenario{"fast"}, Scenario{"slow & hot"}};
+  tables.tables = {{"table 0", {}, {}, {}}, {"table 1", {}, {}, {}}};
+  tiny.scene.tables = &tables;
+  tiny.scene.verdict = "worst cases: kept";
+  tiny.scene.scenarios = {{"fast", "table 0", 17, 700, 800}, {"slow & hot", "table 1", 0, -1, 900}};
+  tiny.scene.changes = {{1, "fast", "slow & hot", "", 640, 900}};
+  tiny.release(0, 0);
+  tiny.at(999, XAUTO_EV_SWITCH, 1, 1, 1, kNone,
+          1 | static_cast<std::uint32_t>(Why::kOverrun) << 16);
+  tiny.release(1000, 1);
+  tiny.at(1999, XAUTO_EV_SWITCH, 2, kNone, 0, kNone,
+          0 | static_cast<std::uint32_t>(Why::kBack) << 16);
+  tiny.release(2000, 2);
+  const auto trace = read_trace(tiny.file(), "t.pftrace");
+  ASSERT_TRUE(trace) << trace.error().to_string();
+  EXPECT_EQ(trace->verdict, "worst cases: kept");
+  ASSERT_EQ(trace->scenarios.size(), 2u);
+  EXPECT_EQ(trace->scenarios[0].releases, 17);
+  EXPECT_EQ(trace->scenarios[0].longest_us, 700);
+  EXPECT_EQ(trace->scenarios[1].name, "slow & hot");
+  EXPECT_EQ(trace->scenarios[1].longest_us, -1);
+  EXPECT_EQ(trace->scenarios[1].worst_case_us, 900);
+  ASSERT_EQ(trace->changes.size(), 2u);
+  const TraceChange &first = trace->changes[0], &second = trace->changes[1];
+  EXPECT_EQ(first.release, 1);
+  EXPECT_EQ(first.from + " " + first.to + " " + first.table + " " + first.why,
+            "fast slow & hot table 1 overrun: cam.infer");
+  EXPECT_EQ(first.spanned_us, 640);
+  EXPECT_EQ(first.worst_case_us, 900);
+  EXPECT_EQ(second.from + " " + second.to + " " + second.table + " " + second.why,
+            "slow & hot fast table 0 back");
+  EXPECT_EQ(second.spanned_us, -1);
+  EXPECT_EQ(second.worst_case_us, -1);
+  const std::string page = html_report({{"xauto", "", *trace}});
+  for (const char* text : {"Changes of the scenario: 2<", "overrun: cam.infer", "slow &amp; hot",
+                           "a release, took 0.64 ms of 0.90 (fast to slow &amp; hot, release 1)",
+                           "<td>17</td>", "worst cases: kept"})
+    EXPECT_NE(page.find(text), std::string::npos) << text;
+  tiny.scene.tables = nullptr;
+  const auto one_policy = read_trace(tiny.file(), "t.pftrace");
+  ASSERT_TRUE(one_policy);
+  EXPECT_EQ(html_report({{"xauto", "", *one_policy}}).find("Scenarios"), std::string::npos);
+}
+
 TEST(Report, FilesThatAreNoTraceOfOursAreRefused) {
   Tiny tiny;
   tiny.release(0, 0);

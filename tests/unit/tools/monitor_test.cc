@@ -16,6 +16,7 @@
 #include "session/distribution.h"
 
 #include "xauto/diagnostics.h"
+#include "xauto/live.h"
 #include "xauto/metrics.h"
 #include "xauto/metrics_server.h"
 
@@ -457,6 +458,36 @@ TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
   board->xnode(0).over(2, 500'000);
   EXPECT_EQ(counts_of(*board).claims.broken,
             std::vector<std::string>{"2 of 9 jobs outran the WCET of their scenario"});
+}
+
+TEST(Counts, WhatMetAChangeIsShownBesideItsWorstCase) {
+  const auto board = runtime::Board::local({.flows = 2, .scenarios = 2});
+  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  runtime::name_line(board->scenario(0).name, "fast");
+  runtime::name_line(board->scenario(1).name, "slow");
+  runtime::name_line(board->flow(1).name, "lane");
+  EXPECT_FALSE(counts_of(*board).spanned);
+  EXPECT_EQ(spanned_text(counts_of(*board)), "");
+  EXPECT_EQ(spanned_json(counts_of(*board)).dump(), "null");
+  board->header().spanned.take({0, 1, 0, 31'000, 60'000, 61'200});
+  const Counts counts = counts_of(*board);
+  EXPECT_FALSE(counts.claims.exceeded);
+  EXPECT_EQ(scenario_json(counts).at("spanned").dump(), spanned_json(counts).dump());
+  EXPECT_EQ(spanned_json(counts).dump(),
+            R"({"from":"fast","to":"slow","us":31000,"worst_case_us":60000})");
+  EXPECT_NE(scenario_text(counts).find(
+                "of what met a change the nearest to its worst case, a release, took 31.00 ms of "
+                "60.00 ms ('fast' to 'slow')"),
+            std::string::npos)
+      << scenario_text(counts);
+  board->header().spanned.take({1, 0, 1, 61'300, 60'000, 61'200});
+  EXPECT_TRUE(counts_of(*board).claims.exceeded);
+  EXPECT_EQ(
+      spanned_text(counts_of(*board)),
+      "  of what met a change the nearest to its worst case, a result of 'lane', took 61.30 ms "
+      "of *60.00 ms ('slow' to 'fast')\n");
+  board->header().spanned.take({7, 0, 1, 99'000, 60'000, 61'200});  // whatever the app wrote there
+  EXPECT_FALSE(counts_of(*board).spanned);
 }
 
 TEST(Counts, WhatHasNotEndedBreaksTheClaim) {
