@@ -482,9 +482,15 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
   for (std::size_t c = 0; c < report.chains.size(); ++c)
     ways.push_back(whole.of(app.chains[c], report.chains[c].path));
   const std::vector<int> on_path = ways.empty() ? std::vector<int>() : ways[worst];
+  // Beside them, what stands in the tightest window of an XPU.
+  std::vector<int> to_move = on_path;
+  for (const steady::XpuProof& proof : report.xpus)
+    if (const int i = app.find(proof.xnode);
+        i >= 0 && std::find(to_move.begin(), to_move.end(), i) == to_move.end())
+      to_move.push_back(i);
   steady::Options asked;
   asked.time_limit_s = moves_s;
-  XAUTO_ASSIGN(const steady::Moves moved, steady::moves(app, platform, policy, on_path, asked));
+  XAUTO_ASSIGN(const steady::Moves moved, steady::moves(app, platform, policy, to_move, asked));
   const auto names = [&](std::size_t c) { return names_on_path(app, ways[c], c); };
   if (options.json) {
     Json root = {{"schema", "xauto.explanation"}, {"version", 2}, {"proofs", proofs(report)}};
@@ -502,7 +508,8 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
                                ms(report.chains[c].derived_us), fmt::join(names(c), " > "));
     if (!report.chains.empty())
       std::cout << fmt::format(
-                       "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
+                       "\n  The worst off is {}. Its XNodes elsewhere, and those of the tightest "
+                       "windows, all others where they are:",
                        report.chains[worst].name)
                 << what_if_table(app, policy, moved.tried, moved.each_s);
     if (moved.untried > 0)

@@ -200,6 +200,7 @@ Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick mo
   const Best best = exhaust(app, platform, *p, most);
   if (!best.any) return found;
   found.any = true;
+  EXPECT_FALSE(prove_overload(*p).has_value());
   const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, cases);
   double apart = 0;
   for (std::size_t c = 0; c < bounds.size(); ++c) {
