@@ -228,6 +228,30 @@ TEST(Run, TablesByWhatTheProgramAsksFor) {
   EXPECT_FALSE(f.app.request_mode("highway")) << "the run is over";
 }
 
+TEST(Run, AMessageMayAskForAScenario) {
+  constexpr int kTunnel = 3;
+  WithTables f;
+  f.app.on_message(f.camera, [&](const int& message, std::uint64_t) {
+    if (message == kTunnel) {
+      EXPECT_TRUE(f.app.request_mode("highway"));
+    }
+  });
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      f.drive([&] { return f.cpu == 1; });
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(f.with_tables);
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(f.next, kTunnel + 2) << "the next release has the other table";
+  const Json told = Json::parse(report->json()).value();
+  ASSERT_EQ(told.at("num_switches").integer(), 1);
+  for (const Json& one : told.at("switches").elements()) EXPECT_EQ(one.at("why").text(), "asked");
+}
+
 /// The same of an app of version 2: keys that nothing here is late for.
 RunOptions with_tables_of_keys(std::int64_t settles_us,
                                std::optional<std::int64_t> of_change_us = 40'000'000) {
