@@ -82,7 +82,7 @@ int Search::moved(const Decision& d) const {
 }
 
 void Search::evaluate(Candidate& candidate) {
-  evaluator_.evaluate(candidate.decision, kInvalidCost, candidate.figures, limits_.until);
+  evaluator_.evaluate(candidate.decision, kInvalidCost, candidate.figures, limits_.finish_until);
   candidate.figures.moved = moved(candidate.decision);
 }
 
@@ -237,8 +237,8 @@ void Search::spread_windows(Decision& d, double part) const {
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
   if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
     for (int k = 0; k < 3; ++k)
-      if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.until)) break;
-    if (certify(p_, candidate.decision.xpu, candidate.figures.w, nullptr, limits_.certify_until)) {
+      if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.finish_until)) break;
+    if (certify(p_, candidate.decision.xpu, candidate.figures.w, nullptr, limits_.finish_until)) {
       best_ = candidate;
       on_better(best_);
       proven_ = true;

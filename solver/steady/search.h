@@ -28,7 +28,7 @@ enum class Keep {
 
 struct SearchLimits {
   Until until;
-  Until certify_until;               ///< later: what was found in time is certified
+  Until finish_until;  ///< later: a construction that was begun in time is evaluated and certified
   std::int64_t max_evaluations = 0;  ///< 0: no limit
   /// Another thread's answer in place of one that is worse; may be empty.
   std::function<void(Candidate&)> exchange;

@@ -16,6 +16,8 @@ bool all_equal(const std::vector<std::int64_t>& values) {
   return std::adjacent_find(values.begin(), values.end(), std::not_equal_to<>()) == values.end();
 }
 
+/// Beyond a limit that is short: even 0 has an answer where the app is small.
+constexpr double kToFinishS = 0.2;
 /// Cases that are parted, at most, for each chain's bound at the end, and for that of all together.
 constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
 
@@ -146,17 +148,17 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
                  began + std::chrono::duration_cast<SteadyTime::duration>(
                              std::chrono::duration<double>(limit - std::min(0.08 * limit, 1.0))));
 
-  Until for_certificates = until;
+  Until to_finish = until;
   if (limit < 1e6)
-    for_certificates.deadline += std::chrono::duration_cast<SteadyTime::duration>(
-        std::chrono::duration<double>(0.1 * limit));
+    to_finish.deadline += std::chrono::duration_cast<SteadyTime::duration>(
+        std::chrono::duration<double>(std::max(0.1 * limit, kToFinishS)));
 
   const int threads = std::clamp(options.threads, 1, 64);
   Shared shared;
   std::vector<std::int64_t> evaluations(at(threads), 0);
   const auto work = [&](int index) {
     Search search(p, reference, options.seed * 1000003 + static_cast<std::uint64_t>(index));
-    SearchLimits limits{for_search, for_certificates, 0, {}};
+    SearchLimits limits{for_search, to_finish, 0, {}};
     if (options.max_evaluations > 0)
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
     else if (threads > 1)  // what depends on who is faster is for those who set no budget

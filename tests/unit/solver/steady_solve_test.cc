@@ -317,6 +317,23 @@ TEST(SteadySolve, AHintNeedNotKnowAllXNodes) {
   EXPECT_FALSE(solve(app, platform, options));
 }
 
+TEST(SteadySolve, AShortLimitHasAnAnswerToo) {
+  int policies = 0;
+  for (std::uint64_t seed = 1; seed <= 20; ++seed) {
+    solver::test::Dice dice(seed);
+    SteadyShape shape = two_clocks(100);
+    shape.least_period = 30;
+    shape.most_period = 40;
+    const AppSpec app = random_steady_app(dice, shape);
+    Options options;
+    options.time_limit_s = 0;
+    const Result<Answer> answer = solve(app, random_steady_platform(dice), options);
+    ASSERT_TRUE(answer);
+    policies += answer->outcome == Outcome::kPolicy ? 1 : 0;
+  }
+  EXPECT_GT(policies, 10);
+}
+
 /// 4000 chains of five XNodes on `clocks` clocks, and 64 CPUs that all of them share.
 AppSpec huge_app(int clocks) {
   constexpr int kChains = 4000, kLength = 5;
