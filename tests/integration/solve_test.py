@@ -56,7 +56,7 @@ class Solve(unittest.TestCase):
         self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
 
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
-        app = self.app(40)
+        app = self.app(40, 5)  # not proven within half a minute
         code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600,
                                                     interrupt_when=lambda err: err.count("best ") >= 2)
         self.assertEqual(code, 0, err)
