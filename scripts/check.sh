@@ -152,7 +152,7 @@ full() {
   build ci build && { note "tests, release"; tests build -LE 'integration|area'; integration build; }
   one "attacks on steady policies" build/tests/attack_steady --policies 40 --solved 10 # 10^8 jobs
   build asan-all build-asan && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; integration build-asan; }
-  tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack|LeastLoss|SteadyHandover' # a minute
+  tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack|LeastLoss|SteadyHandover|SteadyDrift|SteadyChains|KeyTables|Stretches' # two minutes
   tsan
   kernel
   package

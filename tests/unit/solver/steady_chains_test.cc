@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The worst case of a chain: the solver's count against the checker's, which share no code.
+#include <cstdlib>
 #include <set>
 #include <string>
 #include <utility>
@@ -226,8 +227,9 @@ AppSpec random_groups(std::uint64_t seed) {
 
 TEST(SteadyChains, OfRandomGroupsCheckDerivesNoMore) {
   const Platform platform = *Platform::builtin("small");
+  const int apps = std::getenv("XAUTO_FULL") != nullptr ? 40 : 20;  // `make check`: the first half
   int solved = 0;
-  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+  for (std::uint64_t seed = 1; seed <= static_cast<std::uint64_t>(apps); ++seed) {
     const AppSpec app = random_groups(seed);
     Options options;
     options.max_evaluations = 40;
@@ -240,7 +242,7 @@ TEST(SteadyChains, OfRandomGroupsCheckDerivesNoMore) {
     const auto report = check(app, platform, answer->policy);
     EXPECT_TRUE(report) << seed << ": " << report.error().to_string();
   }
-  EXPECT_GE(solved, 30);
+  EXPECT_GE(4 * solved, 3 * apps);
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Clocks far worse than any: what solve answers, check accepts.
 #include <cstdint>
+#include <cstdlib>
 #include <set>
 #include <string>
 #include <utility>
@@ -209,11 +210,11 @@ AppSpec random_beside(solver::test::Dice& dice) {
   return app;
 }
 
-constexpr int kApps = 150;
-
+/// `make check` tries the first half.
 TEST(SteadyDrift, WhatSolveAnswersPassesTheCheck) {
+  const int apps = std::getenv("XAUTO_FULL") != nullptr ? 150 : 75;
   int policies = 0, gated = 0;
-  for (std::uint64_t seed = 1; seed <= std::uint64_t{kApps}; ++seed) {
+  for (std::uint64_t seed = 1; seed <= static_cast<std::uint64_t>(apps); ++seed) {
     solver::test::Dice dice(seed);
     const bool row = dice.chance(50);
     Platform platform = cpus(row ? dice.roll(2, 6) : 1);
@@ -234,8 +235,8 @@ TEST(SteadyDrift, WhatSolveAnswersPassesTheCheck) {
     const auto report = check(app, platform, answer->policy);
     EXPECT_TRUE(report) << seed << ": " << report.error().to_string();
   }
-  EXPECT_GE(policies, kApps / 2);
-  EXPECT_GE(gated, kApps / 5);
+  EXPECT_GE(policies, apps / 2);
+  EXPECT_GE(gated, apps / 5);
 }
 
 }  // namespace
