@@ -14,6 +14,8 @@ cmake_host_system_information(RESULT ram_mb QUERY TOTAL_PHYSICAL_MEMORY)
 if(ram_mb GREATER 7000)
   add_compile_options($<$<COMPILE_LANG_AND_ID:CXX,GNU>:--param=ggc-min-heapsize=1000000>) # KB
 endif()
+# With its time in it Clang's file would be another one each time, and ccache would find nothing that was compiled with it.
+add_compile_options("$<$<COMPILE_LANG_AND_ID:CXX,Clang>:SHELL:-Xclang -fno-pch-timestamp>")
 if(NOT EXISTS ${PROJECT_BINARY_DIR}/headers.cc)
   file(WRITE ${PROJECT_BINARY_DIR}/headers.cc "") # CMake wants a file
 endif()
