@@ -16,10 +16,8 @@ constexpr int kMostTries = 12;
 constexpr Tick kPartOfDepth = 8;
 /// Releases of ways that are followed before the time is looked at.
 constexpr std::size_t kStepsAtOnce = 1 << 16;
-/// A finish that no cost forbids.
-constexpr Tick kNoLimit = kMostTicks * 64;
-/// Load that is rounding, not overload.
-constexpr double kLoadError = 1e-9;
+/// Overload that is rounding.
+constexpr double kRounding = 1e-9;
 
 // The annealer's costs. Where there are deadlines, the sum counts so much beside the lateness.
 constexpr double kSumBesideLate = 0.02;
@@ -246,7 +244,7 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
   out.schedule.start.resize(at(p_.num_slots));
   out.schedule.finish.resize(at(p_.num_slots));
   const double over = overload(decision);
-  if (over > kLoadError) {
+  if (over > kRounding) {
     out.cost = kInvalidCost * (kOverloaded + over);
     return false;
   }
@@ -314,7 +312,7 @@ void Evaluator::set_limits(double most) {
     rule_.limit.clear();
     return;
   }
-  rule_.limit.assign(at(p_.num_xnodes), kNoLimit);
+  rule_.limit.assign(at(p_.num_xnodes), kMostKey);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     const Chain& chain = p_.chains[c];
     const auto own = static_cast<double>(chain.weight) * static_cast<double>(reference_[c]);
