@@ -26,10 +26,6 @@ using Clock = std::chrono::steady_clock;
 // Where nothing more is said, a value is not tuned: it was chosen when what it belongs to was
 // written, and no measurement of its neighbours is kept.
 
-/// A part of so many of the best latency: by how much an answer that keeps its order may be longer.
-/// Chosen: without order the worst case of a large app is many times its latency.
-constexpr Time kWorthOfOrder = 100;
-
 /// Starts that race on each thread; each round of the race has one of so many parts of the limit.
 constexpr std::size_t kRunners = 4;
 constexpr int kPartsPerRound = 9;
@@ -145,11 +141,12 @@ class Team {
   [[nodiscard]] bool counted() const { return options_.max_evaluations > 0; }
 
   /// By how much a schedule that keeps its order may be longer than one that does not and still be
-  /// preferred.
+  /// preferred. Without order the worst case of a large app is many times its latency.
   [[nodiscard]] Time worth_of_order() const {
+    constexpr Time kShare = 100;
     if (!large() || !problem_.goal.plain()) return 0;
     // Never longer than the first answer, which has been reported.
-    return std::min(all_.best.makespan / kWorthOfOrder,
+    return std::min(all_.best.makespan / kShare,
                     std::max<Time>(0, starts_.front().makespan - all_.best.makespan));
   }
 
