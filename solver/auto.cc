@@ -12,6 +12,7 @@
 #include "solver/composite.h"
 #include "solver/exact.h"
 #include "solver/ordered.h"
+#include "solver/random.h"
 #include "solver/stretches.h"
 #include "solver/tabu.h"
 #include "solver/threads.h"
@@ -20,6 +21,31 @@ namespace xauto::solver {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+
+// ---- constants of the team ----------------------------------------------------------------------
+// Where nothing more is said, a value is not tuned: it was chosen when what it belongs to was
+// written, and no measurement of its neighbours is kept.
+
+/// Starts that race on each thread; each round of the race has one of so many parts of the limit.
+constexpr std::size_t kRunners = 4;
+constexpr int kPartsPerRound = 9;
+
+// Turns of a space: short at first, so that each has had one early, then longer and longer.
+/// Seconds of the first turn, at most, and in how many parts of a short limit.
+constexpr double kFirstTurnS = 0.05, kFirstTurns = 40;
+/// With a budget: in so many parts of it, and at most so many evaluations.
+constexpr std::int64_t kFirstShares = 6, kMostOfFirstShare = 20'000;
+constexpr int kTurnGrows = 4;   ///< by a part of so many
+constexpr int kTurnsAlone = 4;  ///< until a worker goes on from the team's best
+
+/// Parts of the limit, of which a large app's bounds have one.
+constexpr double kPartsPerBound = 3;
+constexpr auto kReportEvery = std::chrono::milliseconds(100);
+constexpr double kLeastElapsedS = 1e-9;  ///< that a speed is divided by
+
+/// Seeds of one thread lie within so many of each other, and so do those of a round of the race,
+/// which has its own.
+constexpr std::uint64_t kSeedsOfThread = 7919, kSeedsOfRound = 31, kSeedsOfRace = 500;
 
 Clock::duration seconds(double s) {
   return std::chrono::duration_cast<Clock::duration>(
@@ -35,10 +61,10 @@ class Team {
         starts_(starts),
         undisturbed_(problem),
         with_proof_(with_proof),
-        threads_(std::clamp(options.threads, 1, 64)),
+        threads_(std::clamp(options.threads, 1, kMostThreads)),
         began_(began),
-        deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
-                                              : began + seconds(options.time_limit_s)) {
+        deadline_(options.time_limit_s >= kNoLimitS ? SteadyTime::max()
+                                                    : began + seconds(options.time_limit_s)) {
     for (std::size_t x = 0; x < problem.preemptive.size(); ++x) {
       some_preempt_ = some_preempt_ || problem.preemptive[x];
       some_pay_ =
@@ -190,9 +216,12 @@ class Team {
     return large() && !options_.priorities_only && stretches_serve(problem_);
   }
 
+  [[nodiscard]] std::uint64_t seed_of(int t, std::uint64_t of_thread) const {
+    return options_.seed * kSeedsOfRun + static_cast<std::uint64_t>(t) * kSeedsOfThread + of_thread;
+  }
+
   /// A few starts get a little time each, the better half of them more, until one is left.
   Solution race(int t, std::int64_t& budget) {
-    constexpr std::size_t kRunners = 4;
     std::vector<Solution> runners;
     for (std::size_t k = 0; k < kRunners; ++k) {
       const std::size_t from =
@@ -210,14 +239,15 @@ class Team {
     callbacks.on_better = [&](const Solution& solution) { note(t, solution, ordered); };
     if (ordered)
       for (Solution& runner : runners) runner = in_order(runner);
-    const std::int64_t level = budget / 9;
+    const std::int64_t level = budget / kPartsPerRound;
     for (int round = 0; runners.size() > 1 && !over(); ++round) {
-      const double each = options_.time_limit_s / 9 / static_cast<double>(runners.size());
+      const double each =
+          options_.time_limit_s / kPartsPerRound / static_cast<double>(runners.size());
       for (std::size_t k = 0; k < runners.size() && !over(); ++k) {
         const StopWhen mine =
             stop_when(seconds(each), level / static_cast<std::int64_t>(runners.size()) + 1, 0);
-        const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
-                                   500 + static_cast<std::uint64_t>(round) * 31 + k;
+        const std::uint64_t seed =
+            seed_of(t, kSeedsOfRace + static_cast<std::uint64_t>(round) * kSeedsOfRound + k);
         runners[k] = ordered ? anneal_stretches(problem_, runners[k], seed, mine, callbacks)
                              : anneal(problem_, runners[k], seed, mine, callbacks);
       }
@@ -237,17 +267,18 @@ class Team {
     own_ordered.makespan = own_mixed.makespan = kNever;
     std::optional<TabuSearch> tabu;
     std::int64_t budget = options_.max_evaluations / threads_ + (counted() ? 1 : 0);
-    Clock::duration slice = seconds(std::min(0.05, options_.time_limit_s / 40));
+    Clock::duration slice = seconds(std::min(kFirstTurnS, options_.time_limit_s / kFirstTurns));
     // All spaces have a turn, however small the budget.
-    std::int64_t share = std::clamp<std::int64_t>(budget / 6, 1, 20'000);
+    std::int64_t share = std::clamp<std::int64_t>(budget / kFirstShares, 1, kMostOfFirstShare);
     // The last worker proves, once the search had its first turns.
     const bool proves =
         with_proof_ && !counted() && t == threads_ - 1 && problem_.num_xnodes <= kMostToProve;
     // The bound of a large app takes a few tenths of a second, of a huge one as much as it may:
     // one worker begins with it.
     if (large() && !counted() && t == threads_ - 1) {
-      const Until until{std::min(deadline_, Clock::now() + seconds(options_.time_limit_s / 3)),
-                        options_.stop};
+      const Until until{
+          std::min(deadline_, Clock::now() + seconds(options_.time_limit_s / kPartsPerBound)),
+          options_.stop};
       raise_bound(composite_bound(problem_, 1, until).bound);
     }
     if (large() && some_preempt_ && !options_.certify) {
@@ -269,8 +300,7 @@ class Team {
       };
       const StopWhen mine =
           stop_when(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
-      const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
-                                 static_cast<std::uint64_t>(turn);
+      const std::uint64_t seed = seed_of(t, static_cast<std::uint64_t>(turn));
       switch (space) {
         case Space::kPriorities:
           own = anneal(problem_, own, seed, mine, callbacks);
@@ -320,11 +350,11 @@ class Team {
       }
       if (counted()) {
         budget -= std::max<std::int64_t>(used, 1);
-        share += share / 4;
+        share += share / kTurnGrows;
         if (budget <= 0) return;
         continue;
       }
-      slice += slice / 4;
+      slice += slice / kTurnGrows;
       if (met()) done_.store(true);
       // Again after an exhausted proof only below a better incumbent.
       if (proves && turn >= round_length() - 1 && incumbent_.load() < proof_ended_at_) {
@@ -332,7 +362,7 @@ class Team {
         if (over()) return;
         if (large()) proof_ended_at_ = 0;
       }
-      if (turn % 4 == 3) take_over(own, own_ordered, own_mixed);
+      if (turn % kTurnsAlone == kTurnsAlone - 1) take_over(own, own_ordered, own_mixed);
     }
   }
 
@@ -342,10 +372,11 @@ class Team {
     control.deadline = deadline_;
     // What the root alone gives comes early; the search needs the thread more.
     if (large() && !counted())
-      control.deadline = std::min(deadline_, Clock::now() + seconds(options_.time_limit_s / 3));
+      control.deadline =
+          std::min(deadline_, Clock::now() + seconds(options_.time_limit_s / kPartsPerBound));
     control.stop = options_.stop;
     control.stop_too = &done_;
-    if (counted()) control.max_lps = options_.max_evaluations / 50 + 1;
+    if (counted()) control.max_lps = options_.max_evaluations / kEvaluationsPerLp + 1;
     control.incumbent = &incumbent_;
     control.on_bound = [&](Time bound) {
       raise_bound(bound);
@@ -422,14 +453,14 @@ class Team {
       progress.gap = static_cast<double>(progress.incumbent - progress.bound) /
                      static_cast<double>(progress.incumbent);
     progress.evaluations_per_s =
-        static_cast<double>(evaluations_.load()) / std::max(1e-9, progress.elapsed_s);
+        static_cast<double>(evaluations_.load()) / std::max(kLeastElapsedS, progress.elapsed_s);
     options_.on_progress(progress);
   }
 
   void report_until_done() {
     std::unique_lock lock(mutex_);
     while (running_ > 0) {
-      changed_.wait_for(lock, std::chrono::milliseconds(100));
+      changed_.wait_for(lock, kReportEvery);
       if (!options_.on_progress || running_ == 0) continue;
       lock.unlock();
       report();

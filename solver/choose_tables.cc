@@ -53,7 +53,7 @@ std::vector<int> cover(const Regrets& of, double regret, int most, const std::at
     model.at_least("scenario_" + std::to_string(s), serve, 1);
   }
   model.minimise(count);
-  constexpr double kSeconds = 2;
+  constexpr double kSeconds = 2;  // chosen: what lp_solve has then is valid
   const IlpModel::Outcome outcome = model.solve(kSeconds, stop);
   if (outcome != IlpModel::Outcome::kOptimal && outcome != IlpModel::Outcome::kFeasible) return {};
   std::vector<int> chosen;

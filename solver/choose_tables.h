@@ -25,7 +25,7 @@ struct TableChoice {
                                         double within, const std::atomic<bool>* stop);
 
 /// Each XNode has an instance on each XPU that some table in use gives it: one more has to be worth so
-/// much regret.
+/// much regret. Chosen, not tuned.
 inline constexpr double kRegretOfAnInstance = 0.0005;
 /// The same choice, or one with other candidates in the place of some of it: with less largest regret +
 /// mean regret + that of the instances, as found by replacing one after the other. What is at most

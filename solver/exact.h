@@ -10,6 +10,7 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
 #include <functional>
 
 #include "solver/search.h"
@@ -18,6 +19,8 @@ namespace xauto::solver {
 
 /// XNodes; beyond, one LP of the proof takes too long.
 inline constexpr int kMostToProve = 400;
+/// Where evaluations are limited, a proof has an LP for so many of them. Chosen.
+inline constexpr std::int64_t kEvaluationsPerLp = 50;
 
 struct ProofControl {
   SteadyTime deadline = SteadyTime::max();

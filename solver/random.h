@@ -8,6 +8,9 @@
 
 namespace xauto::solver {
 
+/// What a run's seed is multiplied by: those of its threads and turns lie within so many.
+inline constexpr std::uint64_t kSeedsOfRun = 1'000'003;
+
 class Random {
  public:
   explicit Random(std::uint64_t seed) : state_(seed) {}

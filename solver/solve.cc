@@ -18,6 +18,17 @@
 namespace xauto::solver {
 namespace {
 
+// Shares of the time limit. None is tuned: chosen, so that solve() ends as solve.h says.
+constexpr double kAtLeastS = 0.2;   ///< beside each share: a small app has an answer at any limit
+constexpr double kForStarts = 0.4;  ///< what the search begins with
+constexpr double kForMoment = 0.1;  ///< each of what comes after the search
+constexpr double kForRefutation = 0.1;  ///< on top: whether a missed deadline has to be missed
+constexpr double kMostRefutationS = 360;
+constexpr double kForPaperModel = 0.7;  ///< of --method ilp; the compact model has the rest
+constexpr double kLeastForIlpS = 0.1;
+/// Above so many XNodes the clock counts even where evaluations are limited.
+constexpr int kHuge = 1000;
+
 bool method_searches(const std::string& method) {
   return method == "auto" || method == "search";
 }
@@ -25,9 +36,10 @@ bool method_searches(const std::string& method) {
 /// For what comes after the search: two of these fit into what the limit may be exceeded by. With a
 /// budget of evaluations the clock must not decide, so only the huge have one.
 Until a_moment(const Problem& problem, const SolveOptions& options) {
-  if (options.max_evaluations > 0 && problem.num_xnodes <= 1000) return {};
+  if (options.max_evaluations > 0 && problem.num_xnodes <= kHuge) return {};
   const bool stopped = options.stop != nullptr && options.stop->load();
-  const double seconds = 0.2 + (stopped ? 0 : 0.1 * std::min(options.time_limit_s, 1e6));
+  const double seconds =
+      kAtLeastS + (stopped ? 0 : kForMoment * std::min(options.time_limit_s, kNoLimitS));
   return {std::chrono::steady_clock::now() +
               std::chrono::microseconds(static_cast<std::int64_t>(seconds * 1e6)),
           nullptr};
@@ -56,7 +68,7 @@ std::vector<Solution> starts(const Problem& problem, const Until& until) {
   // Large apps: the best of all, then what the race of the search begins with.
   std::vector<Solution> large =
       priced_solutions(problem, composite_bound(problem, 0, until), until);
-  constexpr std::size_t kPriced = 6, kOthers = 2;
+  constexpr std::size_t kPriced = 6, kOthers = 2;  // chosen
   large.insert(large.begin() + static_cast<std::ptrdiff_t>(std::min(kPriced, large.size())),
                all.begin(), all.begin() + kOthers);
   large.insert(
@@ -98,11 +110,12 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
   ProofControl control;
   control.stop = options.stop;
   if (options.max_evaluations > 0)
-    control.max_lps = options.max_evaluations / 50 + 1;
+    control.max_lps = options.max_evaluations / kEvaluationsPerLp + 1;
   else
     control.deadline =
         std::chrono::steady_clock::now() +
-        std::chrono::milliseconds(static_cast<int>(std::min(options.time_limit_s, 3600.0) * 100));
+        std::chrono::milliseconds(static_cast<int>(
+            std::min(kForRefutation * options.time_limit_s, kMostRefutationS) * 1000));
   if (deadlines_refuted(problem, std::min(horizon, whole.value_or(horizon)), control))
     report.feasibility = Feasibility::kImpossible;
 }
@@ -132,13 +145,13 @@ Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decisio
   };
   ilp.time_limit_s = options.time_limit_s;
   if (problem.num_xnodes <= kPaperModel) {
-    ilp.time_limit_s = options.time_limit_s * 0.7;
+    ilp.time_limit_s = options.time_limit_s * kForPaperModel;
     const auto began = std::chrono::steady_clock::now();
     XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp(problem, ilp));
     take(answer);
     const double used =
         std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
-    ilp.time_limit_s = std::max(0.1, options.time_limit_s - used);
+    ilp.time_limit_s = std::max(kLeastForIlpS, options.time_limit_s - used);
   }
   if (bound < best && problem.num_xnodes <= kCompactModel) {
     XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp_compact(problem, ilp));
@@ -198,7 +211,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
         "certify", "leave it out: the policy then goes by priorities");
   // What the search begins with has a part of its time; a method without search all of it.
   const auto at_most = [&](double share) {
-    const double seconds = 0.2 + share * std::min(options.time_limit_s, 1e6);
+    const double seconds = kAtLeastS + share * std::min(options.time_limit_s, kNoLimitS);
     return Until{began + std::chrono::microseconds(static_cast<std::int64_t>(seconds * 1e6)),
                  options.stop};
   };
@@ -218,7 +231,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
     decision = local(problem, at_most(1));
     bound = quick_bound(problem, at_most(1));
   } else if (searches) {
-    const std::vector<Solution> first = starts(problem, at_most(0.4));
+    const std::vector<Solution> first = starts(problem, at_most(kForStarts));
     note_first(first.front().makespan);
     SolveOptions asked = options;
     asked.priorities_only = asked.priorities_only || several_rates;
@@ -234,7 +247,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
       options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
     }
   } else if (options.method == "ilp") {
-    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound, at_most(0.4), note_first));
+    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound, at_most(kForStarts), note_first));
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");

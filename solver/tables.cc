@@ -21,6 +21,25 @@
 namespace xauto::solver {
 namespace {
 
+// ---- constants of the search --------------------------------------------------------------------
+// None is tuned: each was chosen when what it belongs to was written, and no measurement of its
+// neighbours is kept. `bench_tables` shows what a change does.
+
+/// Where evaluations are counted, so many rounds end the search: speed then says nothing.
+constexpr int kTableRounds = 24;
+/// Searches for the least loss that a scenario's share is divided by.
+constexpr double kLossTries = 8;
+/// Seconds of a search at least; of one that anneals a table at most.
+constexpr double kLeastSearchS = 0.02, kMostSearchS = 0.4;
+/// Temperatures of a table's annealing, as shares of the largest makespan / bound: first, least, by
+/// which factor they fall at each look at the clock, and how much of them a move may use.
+constexpr double kTableHot = 0.02, kTableCold = 1e-5, kTableCools = 0.999, kHeatCounts = 0.5;
+constexpr std::int64_t kTableMovesPerLook = 64, kMovesPerHeating = 16'384;
+/// Of its moves, one in so many goes to another XPU; the rest in the sequence, half of them by so
+/// many places at most.
+constexpr std::uint64_t kOneInMoves = 3;
+constexpr int kNearby = 4;
+
 struct Plan {
   std::vector<int> xpu, sequence;  ///< of what its loss leaves
   std::vector<double> regret;      ///< [scenario]
@@ -48,9 +67,7 @@ class TablesSearch {
   Result<Tables> run() {
     XAUTO_TRY(solve_each());
     TableChoice best = choose();
-    // Evaluations are counted per search: then a fixed number of rounds, so that speed says nothing.
-    constexpr int kRounds = 24;
-    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !run_.over();
+    for (int round = 0; (options_.max_evaluations == 0 || round < kTableRounds) && !run_.over();
          ++round) {
       if (best.worst == kCannotServe || best.worst <= run_.goal()) break;
       improve(best);
@@ -137,10 +154,10 @@ class TablesSearch {
   [[nodiscard]] Loss least_loss_under(std::size_t s, double seconds) const {
     const Time limit = *time_for_a_release(app_);
     const double until_s = run_.elapsed() + seconds;
-    constexpr double kTries = 8;
     const auto suffices = [&](const Loss& loss) {
       const auto policy = solve_under(
-          s, loss, std::max(0.02, std::min(seconds / kTries, until_s - run_.elapsed())), limit);
+          s, loss,
+          std::max(kLeastSearchS, std::min(seconds / kLossTries, until_s - run_.elapsed())), limit);
       return policy && policy->worst_case_us.value_or(kNever) <= limit;
     };
     return least_loss(app_, platform_under(platform_, scenarios_[s]), suffices,
@@ -219,8 +236,9 @@ class TablesSearch {
         tasks.push_back(std::move(task));
       }
     }
-    const double slice = std::min(0.4, std::max(0.02, options_.time_limit_s - run_.elapsed()) /
-                                           static_cast<double>(tasks.size()));
+    const double slice =
+        std::min(kMostSearchS, std::max(kLeastSearchS, options_.time_limit_s - run_.elapsed()) /
+                                   static_cast<double>(tasks.size()));
     run_.on_threads(tasks.size(), [&](std::size_t k) {
       tasks[k].result = anneal_for(tasks[k].group, tasks[k].from, tasks[k].seed, slice);
     });
@@ -255,16 +273,16 @@ class TablesSearch {
     evaluators[limiting].critical_chain(chain);
     const std::int64_t most_moves =
         options_.max_evaluations > 0 ? options_.max_evaluations : std::int64_t{1} << 60;
-    double heat = 0.02;
+    double heat = kTableHot;
     for (std::int64_t move = 0; move < most_moves && best > 1; ++move) {
-      if (move % 64 == 0) {
+      if (move % kTableMovesPerLook == 0) {
         if (options_.max_evaluations == 0 && std::chrono::steady_clock::now() >= deadline) break;
-        heat = std::max(heat * 0.999, 1e-5);
-        if (move % 16384 == 0) heat = 0.02;  // again from warm
+        heat = std::max(heat * kTableCools, kTableCold);
+        if (move % kMovesPerHeating == 0) heat = kTableHot;
       }
       const int i = !chain.empty() && random.below(2) == 0 ? chain[random.below(chain.size())]
                                                            : static_cast<int>(random.below(n));
-      const bool moves = random.below(3) == 0;
+      const bool moves = random.below(kOneInMoves) == 0;
       int to = -1;
       if (moves) {
         to = static_cast<int>(random.below(platform_.xpus.size()));
@@ -276,11 +294,12 @@ class TablesSearch {
         to = static_cast<int>(random.below(n));
         if (random.below(2) == 0) {  // nearby
           const int here = evaluators[0].position(i);
-          to = std::clamp(here + static_cast<int>(random.below(9)) - 4, 0, static_cast<int>(n) - 1);
+          to = std::clamp(here + static_cast<int>(random.below(2 * kNearby + 1)) - kNearby, 0,
+                          static_cast<int>(n) - 1);
         }
         if (to == evaluators[0].position(i)) continue;
       }
-      const double limit = current * (1 - heat * std::log(random.unit()) * 0.5);
+      const double limit = current * (1 - heat * std::log(random.unit()) * kHeatCounts);
       bool within = true;
       std::size_t tried = 0;
       // The one that limits is the likeliest to refuse.

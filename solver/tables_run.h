@@ -49,7 +49,8 @@ class TablesRun {
   }
   /// Of the half of the time in which scenarios are solved one by one, the share of number `s`.
   [[nodiscard]] double share_s(std::size_t s) const {
-    return std::max(0.05, options_.time_limit_s / 2 - elapsed()) /
+    constexpr double kPart = 0.5, kLeastS = 0.05;  // chosen
+    return std::max(kLeastS, options_.time_limit_s * kPart - elapsed()) /
            static_cast<double>(scenarios_ - s);
   }
   /// `regret`: [candidate][scenario].
@@ -64,7 +65,8 @@ class TablesRun {
   }
   /// kInfeasible: it is more than was asked for.
   [[nodiscard]] Status judge(double worst, const std::string& app) const {
-    if (options_.regret < 1 || worst <= options_.regret + 1e-12) return {};
+    constexpr double kRounding = 1e-12;
+    if (options_.regret < 1 || worst <= options_.regret + kRounding) return {};
     return fail(ErrorCode::kInfeasible,
                 "the largest regret found is " + std::to_string(worst) + ", not " +
                     std::to_string(options_.regret),

@@ -12,10 +12,25 @@
 namespace xauto::solver {
 namespace {
 
+// None is tuned: each was chosen with the first tabu search. Measured is only the search as a
+// whole, on public job shops (docs/solver.md). `bench/shops/shops.py` shows what a change does.
+
 constexpr std::size_t kPool = 12;           ///< schedules that a new beginning may lie between
 constexpr std::int64_t kPatience = 12'000;  ///< moves without a better schedule
-constexpr std::int64_t kTenure = 4;         ///< and the mean length of an XPU's list
+/// Moves that what was undone stays forbidden for: this and the mean length of an XPU's list, and
+/// by chance up to half as many again.
+constexpr std::int64_t kTenure = 4;
 constexpr int kMovesPerLook = 32;
+/// A new beginning counts as so many moves. So what was forbidden is not any more, with lists of up
+/// to 660 XNodes.
+constexpr std::int64_t kPast = 1000;
+/// A new beginning between two lies so far on the way from one to the other, and up to so much
+/// further.
+constexpr double kNearest = 0.3, kFurther = 0.4;
+/// A new beginning near one: XNodes move by up to this share of all places, and one in so many to
+/// an XPU by chance.
+constexpr double kShaken = 0.3;
+constexpr std::uint64_t kOneInElsewhere = 10;
 
 }  // namespace
 
@@ -75,7 +90,7 @@ class TabuSearch::Walk {
     local_ = solution;
     idle_ = 0;
     // What was forbidden lies in the past from now on.
-    now_ += 1000;
+    now_ += kPast;
   }
 
   /// The critical path, and its blocks: [begin, end) of path_.
@@ -228,7 +243,7 @@ class TabuSearch::Walk {
 
   /// Between two schedules: a weighted mean of two linear extensions of the edges is one, too.
   void relink(const Solution& a, const Solution& b) {
-    const double part = 0.3 + 0.4 * random_.unit();
+    const double part = kNearest + kFurther * random_.unit();
     std::vector<double> key(n_, 0);
     for (std::size_t k = 0; k < n_; ++k) {
       key[at(a.sequence[k])] += (1 - part) * static_cast<double>(k);
@@ -243,12 +258,13 @@ class TabuSearch::Walk {
   /// Away from a schedule: places by chance near theirs, some XPUs by chance.
   void shake(const Solution& from) {
     std::vector<double> key(n_, 0);
-    const double width = 0.3 * static_cast<double>(n_) * random_.unit();
+    const double width = kShaken * static_cast<double>(n_) * random_.unit();
     for (std::size_t k = 0; k < n_; ++k)
       key[at(from.sequence[k])] = static_cast<double>(k) + width * random_.unit();
     std::vector<int> xpu = from.xpu;
     for (std::size_t i = 0; i < n_; ++i)
-      if (random_.below(10) == 0) xpu[i] = options_[i][random_.below(options_[i].size())];
+      if (random_.below(kOneInElsewhere) == 0)
+        xpu[i] = options_[i][random_.below(options_[i].size())];
     load(xpu, key);
   }
 

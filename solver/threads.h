@@ -13,6 +13,8 @@
 
 namespace xauto::solver {
 
+inline constexpr int kMostThreads = 64;  ///< that one answer is computed by
+
 class Threads {
  public:
   Threads() = default;

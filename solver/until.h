@@ -12,6 +12,8 @@ namespace xauto::solver {
 
 using SteadyTime = std::chrono::steady_clock::time_point;
 
+inline constexpr double kNoLimitS = 1e6;  ///< seconds; from here on a time limit is none
+
 struct Until {
   SteadyTime deadline = SteadyTime::max();
   const std::atomic<bool>* stop = nullptr;

@@ -69,8 +69,8 @@ class App {
     return *this;
   }
 
-  /// A sensor that is pushed into, e.g. from a driver's callback: what Source::publish is given is
-  /// released at once, in the process that has the app's other sources (docs/api.md has the rules).
+  /// A sensor that is pushed into, e.g. from a driver's callback. What Source::publish is given is
+  /// released at once, in the process that has the app's other sources. docs/api.md has the rules.
   template <class T>
   [[nodiscard]] Source<T> add_source(const Topic<T>& topic, Pushed how) {
     return Source<T>(add_inlet(detail::topic_spec(topic), how.distance));
@@ -96,7 +96,7 @@ class App {
   /// any more. The place to end a driver. On the same thread.
   App& on_stop(std::function<void()> callback);
   /// Called once after the last activation, when no message is taken any more and what every `init`
-  /// made is destroyed, before main() returns: the place to write results.
+  /// made is destroyed. main() has not returned yet: it is the place to write results.
   App& on_end(std::function<void()> callback);
 
   /// Of a run with tables (docs/modes.md): from the next release on at least what scenario `name` covers
@@ -114,10 +114,12 @@ class App {
   /// and stdout are left alone. May be called again after it has returned; two Apps may run at the
   /// same time. Threads: any; must not be called from an `init`, an `exec` or a callback.
   ///
-  /// Errors: kInvalid where options, files or the graph contradict each other, kNotFound of a file
-  /// or of the daemons' programs, kUnavailable if it runs already, if an `init` or a callback threw,
-  /// or if an `exec` of an earlier run never returned. What is lost in a run is no error, but in
-  /// the report.
+  /// Errors:
+  ///   kInvalid      options, files or the graph contradict each other;
+  ///   kNotFound     a file, or the daemons' programs;
+  ///   kUnavailable  it runs already, an `init` or a callback threw, or an `exec` of an earlier run
+  ///                 never returned.
+  /// What is lost in a run is no error, but in the report.
   [[nodiscard]] Result<RunReport> run(const RunOptions& options);
   /// Ends the run that is under way: no further releases, what is in flight is finished, then run()
   /// returns. Without a run nothing happens. Threads: any.

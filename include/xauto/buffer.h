@@ -31,7 +31,7 @@ inline constexpr std::size_t kMaxBufferBytes = std::size_t{1} << 30;
 
 /// The bytes of a Buffer while the CPU reads (Byte: const std::byte) or writes (std::byte) them. Of a
 /// dmabuf the kernel keeps caches and devices in step at its begin and its end (linux/dma-buf.h,
-/// DMA_BUF_IOCTL_SYNC), so keep it no longer than the access. It keeps the memory, not the turn:
+/// DMA_BUF_IOCTL_SYNC). So keep it no longer than the access. It keeps the memory, not the turn:
 /// of a message, keep the message or its Buffer as well.
 template <class Byte>
 class BufferBytes {

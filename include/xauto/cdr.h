@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Messages of .msg and .idl files as bytes: an encapsulation header and plain CDR (OMG XTypes 1.3,
-// 7.4.1, version 1 of the encoding), as ROS 2 sends and records them. Little endian is written, both
+// Messages of .msg and .idl files as bytes, as ROS 2 sends and records them: an encapsulation header
+// and plain CDR (OMG XTypes 1.3, 7.4.1, version 1 of the encoding). Little endian is written, both
 // byte orders are read. `xauto_add_messages` (docs/interop.md) makes headers that use this one; a
 // program has no other reason to include it.
 #pragma once

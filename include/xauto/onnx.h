@@ -78,9 +78,9 @@ struct FreeAligned {
 class Session {
  public:
   /// Loads the file, compares it with what the app counts on, makes the buffers, and runs once on
-  /// zeros: what the first run allocates is there before the first release.
+  /// zeros. So what the first run allocates is there before the first release.
   ///
-  /// Errors: kNotFound: no such file; kInvalid: no model, other tensors, or a run that fails;
+  /// Errors: kNotFound: no such file. kInvalid: no model, other tensors, or a run that fails.
   /// kUnavailable: ONNX Runtime is older than the header that this was compiled with, or lacks what
   /// `configure` asks for.
   [[nodiscard]] static Result<std::unique_ptr<Session>> open(Model model) {

@@ -43,7 +43,7 @@ namespace detail {
 class Ros2Executor;
 
 /// A callback that is ready, on its way to its job. It is over when it was run, however long its message is kept
-/// (by the profiler, say), or when nobody holds it any more: the app may drop a release, whose job never begins.
+/// (by the profiler, say), or when nobody holds it any more. For the app may drop a release, whose job never begins.
 class Ros2Ready {
  public:
   Ros2Ready(std::shared_ptr<Ros2Executor> gate, std::uint64_t number,
@@ -247,9 +247,9 @@ inline void Ros2Ready::end() const {
 /// Handle of what the app keeps: may be gone before the run. Threads: as App.
 class Ros2Gate {
  public:
-  /// `distance` (1 us to 1 h): as of pushed(). The gate keeps it: what is ready sooner waits where it is, so that
-  /// a burst from ROS does not break what the policy promises to the rest of the app (a callback past its WCET
-  /// may). Throws what rclcpp throws of `options`; of a context that was not initialised, say.
+  /// `distance` (1 us to 1 h): as of pushed(). The gate keeps it: what is ready sooner waits where it is. So a burst
+  /// from ROS does not break what the policy promises to the rest of the app; a callback past its WCET
+  /// may. Throws what rclcpp throws of `options`; of a context that was not initialised, say.
   Ros2Gate(App& app, const std::string& name, std::chrono::microseconds distance,
            const rclcpp::ExecutorOptions& options = rclcpp::ExecutorOptions())
       : executor_(std::make_shared<detail::Ros2Executor>(options, distance)) {

@@ -60,11 +60,11 @@ class Source {
   /// Publishes `message`: a release of the sensor, numbered from 0 on in each run, with the time of
   /// this call. Never waits for the app. With a recorded input it is discarded, and succeeds.
   ///
-  /// Errors, all kUnavailable: the app does not take messages (before App::on_start calls, after
-  /// the run's end, in a process of the app that has not its sources); too many wait, since the app
-  /// runs in lockstep and this is faster. Nothing is kept for later.
-  /// kInvalid of an urgent release in a run that knows nothing of it: by a policy without keys, or of
-  /// an app.json that states no "urgent" of this source. Without an app.json (profile), with a
+  /// Errors: kUnavailable where the app does not take messages: before App::on_start calls, after
+  /// the run's end, in a process of the app that has not its sources. So it is where too many wait,
+  /// since the app runs in lockstep and this is faster. Nothing is kept for later.
+  /// kInvalid of an urgent release in a run that knows nothing of it. Such a run is by a policy
+  /// without keys, or of an app.json that states no "urgent" of this source. Without an app.json (profile), with a
   /// recorded input, and in lockstep each release is an ordinary one.
   [[nodiscard]] Status publish(T message, Release release = Release::ordinary) const {
     return publish(std::make_shared<const T>(std::move(message)), release);

@@ -97,8 +97,8 @@ class Fire {
 
   /// Runs the XNodes one after the other, on this thread. The number of the activation, from 0 on,
   /// is Input::sequence(), the virtual time Input::origin(). Errors: kInvalid of an input topic
-  /// without a message, of a name or type that the module does not have, of a module that the App
-  /// would refuse, too; kUnavailable with what an `init`, `exec` or output threw; what `exec`
+  /// without a message, of a name or type that the module does not have, and of a module that the
+  /// App would refuse, too. kUnavailable with what an `init`, `exec` or output threw. What `exec`
   /// returned. `where` names the XNode. After an error the next run() is a new activation.
   [[nodiscard]] Result<Outcome> run();
 

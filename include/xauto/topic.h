@@ -122,8 +122,8 @@ void set_interface(TopicSpec& topic, const char* name, const char* schema, Encod
 /// Room for a message where other processes can read it; null: there is none, use the heap.
 std::shared_ptr<void> loan(MessageMemory* memory, std::size_t bytes);
 
-/// A message of type T from `make`, a callable that returns a T, without a copy: in `memory` if T
-/// is plain data and there is room, else on the heap.
+/// A message of type T from `make`, a callable that returns a T, without a copy. It is in `memory`
+/// if T is plain data and there is room, else on the heap.
 template <class T, class Make>
 std::shared_ptr<const void> make_message(MessageMemory* memory, Make&& make) {
   if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T> && alignof(T) <= 64)
@@ -224,14 +224,14 @@ class Input {
   /// worst case that is left is this less the present; it holds while the run's assumptions do.
   [[nodiscard]] std::optional<std::chrono::nanoseconds> result_due() const;
   /// Whether the XNode that asks would end by due() if it went on for `way` from now, undisturbed.
-  /// True where nothing says. The certificate allows for no more than the WCET of the plan: `way`,
+  /// True where nothing says. The certificate allows for no more than the WCET of the plan. `way`,
   /// and what the XNode did before it asked, must be within that, whatever the answer is. Costs one
   /// reading of the clock.
   [[nodiscard]] bool time_for(std::chrono::nanoseconds way) const;
   /// Number of that release, from 0 on.
   [[nodiscard]] std::uint64_t sequence() const;
 
-  /// The value that a parameter of this module had when the activation began: all its XNodes see
+  /// The value that a parameter of this module had when the activation began. All its XNodes see
   /// the same, and the parameters of a module that are set together change together. No lock, no
   /// allocation. Throws std::logic_error if neither this module nor one of its XNodes declares it.
   template <class T>

@@ -137,8 +137,8 @@ class XModule {
   /// The most activations that `in_flight` takes.
   static constexpr int kMostInFlight = detail::kMostInFlight;
   /// Up to `activations` at once, 1 to kMostInFlight: the next one starts while earlier ones are
-  /// under way. Each has a State of its own, and an `init` of each XNode on the XPU that it runs on;
-  /// so nothing in State may be carried from one activation to the next. Each XNode takes activations
+  /// under way. Each has a State of its own, and an `init` of each XNode on the XPU that it runs on.
+  /// So nothing in State may be carried from one activation to the next. Each XNode takes activations
   /// in order, and results leave in order. A plan of version 2 may allow fewer (app.json's
   /// `max_in_flight`).
   XModule& in_flight(int activations) {

@@ -70,7 +70,7 @@ class XNode {
   /// Adds the implementation for one type of XPU.
   ///
   /// init: called once per XPU instance on which this XNode is to run, on the worker's execution
-  ///   thread, before the first exec: load the weights, create the context. It returns
+  ///   thread, before the first exec. Load the weights, create the context. It returns
   ///   - `SchedHandle`, if the implementation owns nothing, or
   ///   - `Owned<T>` (see own()): the T is this instance's, is given to each exec there, and is
   ///     destroyed on the same thread when the run ends, in the reverse order of the inits.

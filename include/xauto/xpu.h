@@ -85,7 +85,7 @@ class SchedHandle {
   /// For an XPU type of the app's own that can be preempted. `suspend`: when it returns, none of
   /// the XNode's work runs on the XPU; an error leaves it running, and the coordinator then lets it
   /// finish. The more urgent job is not held up until then: its `exec` may begin before `suspend` has
-  /// returned, so the XPU must bear the work of two jobs for that long, as a GPU's queues do.
+  /// returned. So the XPU must bear the work of two jobs for that long, as a GPU's queues do.
   /// `resume`: lets it go on where it was. Each may be called when it has nothing to do,
   /// then it succeeds. Threads: both from the worker's management thread, one at a time, while
   /// `exec` is on another; so both must be safe beside `exec`. They are copied, and live until the
@@ -112,8 +112,8 @@ class SchedHandle {
   std::shared_ptr<const Callbacks> callbacks_;
 };
 
-/// For a CUcontext or a cudlaDevHandle that is not made in an `init`, but in main() or by a library:
-/// calls `make`, which makes it, and returns the handle that `make` returned. What appears meanwhile
+/// For a CUcontext or a cudlaDevHandle that is not made in an `init`, but in main() or by a library.
+/// Calls `make`, which makes it, and returns the handle that `make` returned. What appears meanwhile
 /// is suspended with it in later runs of this process. Not needed where the process has but one
 /// context (docs/api.md). On a machine without a driver, and for other handles, it does nothing
 /// else. It fails with nothing of its own; what `make` throws comes out. Threads: any; one makes

@@ -23,20 +23,19 @@ tl::unexpected<Error> gone() {
   return fail(ErrorCode::kUnavailable, "the emulator (xauto-emud) is gone");
 }
 
-bool is_set(const char* variable) {
-  const char* value = std::getenv(variable);
-  return value != nullptr && std::strcmp(value, "1") == 0;
-}
-
 Site site_of_environment() {
   const auto text = [](const char* variable) {
     const char* value = std::getenv(variable);
     return std::string(value == nullptr ? "" : value);
   };
-  Site site{text(kEmudVariable), {}, is_set(kDriversVariable), is_set(kCpuPoolVariable)};
-  std::istringstream ids(text(kRealVariable));
-  for (std::string id; std::getline(ids, id);) site.real.insert(id);
-  return site;
+  const auto ids = [&](const char* variable) {
+    std::set<std::string> found;
+    std::istringstream lines(text(variable));
+    for (std::string id; std::getline(lines, id);) found.insert(id);
+    return found;
+  };
+  return {text(kEmudVariable), ids(kRealVariable), ids(kDriversVariable),
+          text(kCpuPoolVariable) == "1"};
 }
 
 thread_local std::shared_ptr<const Site> t_site;
@@ -145,7 +144,7 @@ Result<Context> Context::open(const XpuId& xpu) {
     connection->virtual_site = site;
     return Context(std::move(connection));
   }
-  if (site->drivers && xpu.type != XPU::CPU) {
+  if (site->drivers.contains(xpu.name)) {
     auto connection = std::make_unique<Connection>();
     connection->gpu = xpu.type == XPU::GPU;
     XAUTO_ASSIGN(connection->driver,

@@ -19,10 +19,10 @@ struct Packet;
 
 /// Where the contexts that a thread opens find their emulator.
 struct Site {
-  std::string address;         ///< abstract socket; empty: there is no emulator
-  std::set<std::string> real;  ///< XPUs that are not emulated
-  bool drivers = false;        ///< GPUs and DLAs are those of kmod/emu/
-  bool cpu_pool = false;       ///< the CPUs are one device
+  std::string address;            ///< abstract socket; empty: there is no emulator
+  std::set<std::string> real;     ///< XPUs that are not emulated
+  std::set<std::string> drivers;  ///< XPUs that kmod/emu/ emulates
+  bool cpu_pool = false;          ///< the CPUs are one device
   /// Not null: there is no emulator, work on a context just adds its duration here.
   std::shared_ptr<std::int64_t> virtual_ns = nullptr;
 };

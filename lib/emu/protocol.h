@@ -15,10 +15,10 @@ inline constexpr const char* kEmudVariable = "XAUTO_EMUD";  ///< abstract socket
 inline constexpr const char* kCpuPoolVariable =
     "XAUTO_EMU_CPU_POOL";  ///< "1": CPU contexts on the pool
 
-/// Ids of the XPUs of this run that are real, each with a line end behind it.
+/// Ids of XPUs of this run, each with a line end behind it: of those that are real, and of those
+/// whose contexts are on the emulator modules' nodes.
 inline constexpr const char* kRealVariable = "XAUTO_REAL";
-inline constexpr const char* kDriversVariable =
-    "XAUTO_EMU_DRIVERS";  ///< "1": GPU and DLA contexts on the emulator modules' nodes
+inline constexpr const char* kDriversVariable = "XAUTO_EMU_DRIVERS";
 
 enum class Op : std::uint32_t {
   kOpen = 1,     ///< name, value = version -> kOpened

@@ -12,6 +12,7 @@
 #include "base/first_line.h"
 #include "base/rt.h"
 #include "kernel/bpf_sys.h"
+#include "kernel/device_nodes.h"
 #include "kernel/run_maps.h"
 #include "kernel/scx_scheduler.h"
 
@@ -93,7 +94,7 @@ class Probe {
   }
 
   /// NVIDIA's RM driver, and no nvgpu.
-  [[nodiscard]] bool rm() const { return there("/dev/nvidiactl") && !there("/dev/nvgpu"); }
+  [[nodiscard]] bool rm() const { return there(rm::kControlNode) && !there(kNvgpuFolder); }
 
   void cores() {
     const std::string isolated = first_line("/sys/devices/system/cpu/isolated");

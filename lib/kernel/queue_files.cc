@@ -77,13 +77,13 @@ Duplicates& duplicates() {
 bool classify_queue_file(const std::string& target, QueueFile& file) {
   file.target = target;
   file.instance = -1;
-  const bool tsg_node = target == "/dev/nvhost-tsg-gpu" ||
-                        (target.starts_with("/dev/nvgpu/") && target.ends_with("/tsg"));
+  const bool tsg_node =
+      target == kOldTsgNode || (target.starts_with(kNvgpuFolder) && target.ends_with("/tsg"));
   if (is_anonymous_tsg(target) || tsg_node) {
     file.type = QueueType::kGpuTsg;
     return true;
   }
-  for (const char* prefix : {"/dev/nvhost-ctrl-nvdla", "/dev/nvdla"})
+  for (const char* prefix : kDlaPrefixes)
     if (ends_with_number(target, prefix, file.instance)) {
       file.type = QueueType::kDla;
       return true;

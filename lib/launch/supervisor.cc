@@ -132,11 +132,16 @@ class Supervisor {
     if (!daemons_->emulator().empty())
       options.environment.emplace_back(emu::kEmudVariable, daemons_->emulator());
     const std::vector<bool> is_real = real_xpus(session);
-    std::string real;
-    for (std::size_t x = 0; x < is_real.size(); ++x)
-      if (is_real[x]) real += session.platform.xpus[x].id + "\n";
+    std::string real, by_modules;
+    for (std::size_t x = 0; x < is_real.size(); ++x) {
+      const Xpu& xpu = session.platform.xpus[x];
+      if (is_real[x])
+        real += xpu.id + "\n";
+      else if (session.emulator_modules && xpu::is_by_modules(xpu))
+        by_modules += xpu.id + "\n";
+    }
     options.environment.emplace_back(emu::kRealVariable, real);
-    if (session.emulator_modules) options.environment.emplace_back(emu::kDriversVariable, "1");
+    options.environment.emplace_back(emu::kDriversVariable, by_modules);
     if (const std::string watch = watch_library(session); !watch.empty())
       options.environment.emplace_back("LD_PRELOAD", watch);
     if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)

@@ -161,12 +161,15 @@ bool is_watched(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
   return way != nullptr && way->watched;
 }
 
+bool is_by_modules(const Xpu& xpu, const std::vector<Kind>& table) {
+  return xpu.preemptive && !kind_of(xpu.type, table).nodes.empty();
+}
+
 Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
                                               const std::vector<Kind>& table) {
-  const Kind& kind = kind_of(request.xpu.type, table);
-  const bool driver = !kind.nodes.empty() && request.xpu.preemptive;
-  if (request.emulated && !(request.emulator_modules && driver))
+  if (request.emulated && !(request.emulator_modules && is_by_modules(request.xpu, table)))
     return make_emulated(request.scheduled);
+  const Kind& kind = kind_of(request.xpu.type, table);
   const Way* way = way_of(kind);
   if (!request.scheduled || !request.xpu.preemptive || way == nullptr) return make_gate();
   return request.by_keys && kind.backend_by_keys != nullptr ? kind.backend_by_keys(request.id)

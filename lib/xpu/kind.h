@@ -82,12 +82,16 @@ struct Kind {
 [[nodiscard]] bool is_watched(const Xpu& xpu, bool emulated,
                               const std::vector<Kind>& table = kinds());
 
+/// Whether kmod/emu/ has it in a run with the emulator modules: a driver's XPU, whose work is
+/// suspended. All others xauto-emud emulates there, too.
+[[nodiscard]] bool is_by_modules(const Xpu& xpu, const std::vector<Kind>& table = kinds());
+
 /// How one worker's work on an XPU is suspended in a run.
 struct BackendRequest {
   const Xpu& xpu;
   XpuId id;
   bool emulated = false;
-  bool emulator_modules = false;  ///< what has device nodes is emulated by kmod/emu/
+  bool emulator_modules = false;  ///< what is_by_modules() is emulated by kmod/emu/
   bool scheduled = true;          ///< false: nobody will ever suspend anything
   bool by_keys = false;           ///< Session::cpu_by_keys
 };

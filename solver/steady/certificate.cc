@@ -99,7 +99,7 @@ bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::
     for (int n = 0; n < p.jobs[at(i)]; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
       const std::size_t next = at(p.slot[at(i)] + (n + 1) % p.jobs[at(i)]);
-      if (w.d[s] < 0 || w.d[s] > kMostTicks * 64 || w.hold[s] < 0)
+      if (w.d[s] < 0 || w.d[s] > kMostKey || w.hold[s] < 0)
         return refuse_it("has a key or a hold out of range");
       if (w.a[s] + work > w.d[s]) return refuse_it("has a window shorter than its WCET");
       if (w.d[next] + period - lost_in(period, ppm) < w.d[s])
@@ -110,9 +110,6 @@ bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::
   }
   return true;
 }
-
-/// No interval is as long.
-constexpr Tick kForever = kMostTicks * 1024;
 
 bool is_of_one_domain(const Problem& p, int m, const std::vector<int>& xpu) {
   int domain = -1;
@@ -140,7 +137,7 @@ Pattern urgent_pattern(const Problem& p, const Component& c, int m, const std::v
   Pattern g;
   g.period = c.urgent_every;
   g.once = true;
-  Tick earliest = kMostTicks * 1024, latest = 0;
+  Tick earliest = kForever, latest = 0;
   g.ppm = p.domains[at(c.domain)].ppm;
   for (const int i : c.xnodes) {
     if (p.urgent[at(i)] == 0 || xpu[at(i)] != m) continue;

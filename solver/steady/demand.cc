@@ -8,6 +8,7 @@ namespace xauto::solver::steady {
 namespace {
 
 constexpr std::size_t kMostSteps = 200'000;
+constexpr double kLoadError = 1e-9;            ///< that is rounding, not overload
 constexpr std::size_t kMostLoose = 1'000'000;  ///< of a curve, before what is below others goes
 
 /// Nominal length -> a real one that is not longer: the clock may be fast by ppm, and moves the
@@ -167,7 +168,7 @@ bool Lack::find(std::vector<Pattern>& patterns, std::vector<Blocking> blocking) 
   }
   std::size_t budget = kMostSteps;
   std::vector<Curves> all(patterns.size());
-  for (horizon += 2 * blocked; horizon < kMostTicks * 1024; horizon *= 2) {
+  for (horizon += 2 * blocked; horizon < kForever; horizon *= 2) {
     Tick known = horizon;
     for (std::size_t g = 0; g < patterns.size(); ++g) {
       if (!curves(patterns[g], horizon, budget, all[g])) return false;
@@ -221,7 +222,7 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
       if (job.length < job.work) return false;
       work += job.work;
       most = std::max(most, job.work);
-      if (work > kMostTicks * 1024) return false;
+      if (work > kForever) return false;
     }
     horizon += 2 * most;
   }
@@ -233,13 +234,13 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
     for (const WindowedJob& job : g.jobs) part += static_cast<double>(job.work);
     load += part / static_cast<double>(g.period);
   }
-  if (load > 1 + 1e-9) {
+  if (load > 1 + kLoadError) {
     if (tightest != nullptr) *tightest = {kMillion, static_cast<Tick>(load * kMillion) + 1};
     return false;
   }
   std::size_t budget = kMostSteps;
   std::vector<Curves> all(patterns.size());
-  for (horizon += 2 * blocked; horizon < kMostTicks * 1024; horizon *= 2) {
+  for (horizon += 2 * blocked; horizon < kForever; horizon *= 2) {
     for (std::size_t g = 0; g < patterns.size(); ++g)
       if (!curves(patterns[g], horizon, budget, all[g])) return false;
     // Beyond the horizon of the least of them a real length is not known: leave a margin.

@@ -8,10 +8,27 @@
 namespace xauto::solver::steady {
 namespace {
 
+// None of these is tuned: chosen, or as large as a comment says.
+
 /// What drift takes makes windows deeper, and deeper windows lose more: seldom more than twice.
 constexpr int kMostTries = 12;
+/// ... so its pad is for windows that are deeper by this part of them.
+constexpr Tick kPartOfDepth = 8;
 /// Releases of ways that are followed before the time is looked at.
 constexpr std::size_t kStepsAtOnce = 1 << 16;
+/// Overload that is rounding.
+constexpr double kRounding = 1e-9;
+
+// The annealer's costs. Where there are deadlines, the sum counts so much beside the lateness.
+constexpr double kSumBesideLate = 0.02;
+/// In kInvalidCost, so that each kind of invalid costs more than the one before, whatever is added
+/// for how invalid it is: a shared XPU does not serve its windows, no schedule that repeats was
+/// found, an XPU is overloaded.
+constexpr double kUnserved = 1, kEndless = 2, kOverloaded = 3;
+/// At least so much is missing where a shared XPU does not serve, however little it is.
+constexpr double kLeastMissing = 0.01;
+/// Added for a backlog that grows, at most, as a part of kEndless.
+constexpr double kGrowthShare = 0.25;
 
 /// Releases that a way is followed from.
 std::size_t steps_of(const Problem& p, const Path& path) {
@@ -92,7 +109,7 @@ bool Evaluator::deepen_pads(const Decision& decision, Figures& out) {
   for (std::size_t m = 0; m < deepest.size(); ++m) {
     if (drift_pad(deepest[m], ppm[m]) <= out.pad[m]) continue;
     // What it adds makes windows deeper: a little more at once.
-    out.pad[m] = drift_pad(deepest[m] + deepest[m] / 8, ppm[m]);
+    out.pad[m] = drift_pad(deepest[m] + deepest[m] / kPartOfDepth, ppm[m]);
     grew = grew || shared_[m] == 0;
   }
   return grew;
@@ -136,19 +153,19 @@ bool Evaluator::serves(const Decision& decision, Figures& out, const Until& unti
       here = base_figures_->missing[at(m)];
     } else {
       if (until.over()) {
-        out.cost = 2 * kInvalidCost;
+        out.cost = kEndless * kInvalidCost;
         return false;
       }
       charge(p_, decision.xpu, out.w, urgent_, m, charges_);
       Tightest t;
       if (!shared_fits(p_, m, decision.xpu, out.w, urgent_, charges_, &t))
-        here = 0.01 + (t.demand > t.length ? static_cast<double>(t.demand - t.length) /
-                                                 static_cast<double>(t.demand)
-                                           : 1);
+        here = kLeastMissing + (t.demand > t.length ? static_cast<double>(t.demand - t.length) /
+                                                          static_cast<double>(t.demand)
+                                                    : 1);
     }
     missing += here;
   }
-  if (missing > 0) out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 3));
+  if (missing > 0) out.cost = kInvalidCost * (kUnserved + missing / (p_.num_xpus + 3));
   return missing == 0;
 }
 
@@ -194,7 +211,7 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
         }
       } else if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
         const double growth = exhibitors_[d].growth();
-        out.cost = 2 * kInvalidCost * (1 + growth / (growth + p_.num_slots) / 4);
+        out.cost = kEndless * kInvalidCost * (1 + kGrowthShare * growth / (growth + p_.num_slots));
         return false;
       }
     }
@@ -214,7 +231,7 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
     out.simulated = true;
     return true;
   }
-  out.cost = 2 * kInvalidCost;
+  out.cost = kEndless * kInvalidCost;
   return false;
 }
 
@@ -227,8 +244,8 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
   out.schedule.start.resize(at(p_.num_slots));
   out.schedule.finish.resize(at(p_.num_slots));
   const double over = overload(decision);
-  if (over > 1e-9) {
-    out.cost = kInvalidCost * (3 + over);
+  if (over > kRounding) {
+    out.cost = kInvalidCost * (kOverloaded + over);
     return false;
   }
   shared_ = shared_xpus(p_, decision.xpu);
@@ -274,7 +291,7 @@ bool Evaluator::set_costs(Figures& out, const Until& until) const {
       if (steps < kStepsAtOnce) continue;
       steps = 0;
       if (!until.over()) continue;
-      out.cost = 2 * kInvalidCost;
+      out.cost = kEndless * kInvalidCost;
       return false;
     }
     const auto worst = static_cast<double>(out.chain[c]);
@@ -282,7 +299,8 @@ bool Evaluator::set_costs(Figures& out, const Until& until) const {
     if (chain.deadline != kNoTick)
       out.late = std::max(out.late, worst / static_cast<double>(std::max(chain.deadline, Tick{1})));
   }
-  out.cost = deadlines_ ? out.late + 0.02 * out.sum / reference_sum_ : out.sum / reference_sum_;
+  out.cost =
+      deadlines_ ? out.late + kSumBesideLate * out.sum / reference_sum_ : out.sum / reference_sum_;
   return true;
 }
 
@@ -294,7 +312,7 @@ void Evaluator::set_limits(double most) {
     rule_.limit.clear();
     return;
   }
-  rule_.limit.assign(at(p_.num_xnodes), kMostTicks * 64);
+  rule_.limit.assign(at(p_.num_xnodes), kMostKey);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     const Chain& chain = p_.chains[c];
     const auto own = static_cast<double>(chain.weight) * static_cast<double>(reference_[c]);

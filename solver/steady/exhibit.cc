@@ -12,10 +12,14 @@ namespace {
 
 constexpr Tick kNever = std::numeric_limits<Tick>::max();
 /// Hyperperiods until it has to repeat: this many, and more where they are short, since latencies
-/// of several periods need as many to fill the pipeline.
-constexpr std::int64_t kLeastRounds = 8, kMostRounds = 48;
+/// of several periods need as many to fill the pipeline: so many of the longest. Chosen, not tuned.
+constexpr std::int64_t kLeastRounds = 8, kMostRounds = 48, kRoundsOfSlowest = 40;
+/// Rounds in a row, each later than the one before, after which it will not repeat. Chosen.
+constexpr int kMostGrowing = 4;
 /// Jobs that are simulated at most, but for the least rounds.
 constexpr std::int64_t kMostSimulated = 1'000'000;
+/// Waits of a job that are counted, in 16 bits. The certificate does not believe this schedule.
+constexpr std::size_t kMostWaits = 32'000;
 
 std::size_t ix(std::int64_t i) {
   return static_cast<std::size_t>(i);
@@ -42,7 +46,7 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     base_ = p_.slot[at(d.xnodes.front())];
     Tick slowest = 0;
     for (const int c : d.components) slowest = std::max(slowest, p_.components[at(c)].period);
-    rounds_ = std::min(kLeastRounds - 2 + 40 * slowest / hyper_, kMostRounds);
+    rounds_ = std::min(kLeastRounds - 2 + kRoundsOfSlowest * slowest / hyper_, kMostRounds);
     rounds_ = std::min(rounds_, std::max(kLeastRounds, kMostSimulated / jobs_));
     phase_.resize(ix(jobs_));
     for (const int i : d.xnodes) {
@@ -85,7 +89,7 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
   for (const int i : d.xnodes) {
     const bool timer = p_.root[at(i)] != 0 || rule.hold[at(i)] > 0;
     const auto waits = static_cast<std::int16_t>(
-        std::min<std::size_t>(p_.pred[at(i)].size() + (timer ? 1 : 0), 32000));
+        std::min<std::size_t>(p_.pred[at(i)].size() + (timer ? 1 : 0), kMostWaits));
     std::fill_n(first_waits_.begin() + p_.slot[at(i)] - base_, p_.jobs[at(i)], waits);
     next_[at(i)] = timer ? 0 : -1;
     const int m = rule.xpu[at(i)];
@@ -246,7 +250,7 @@ bool Exhibitor::piles_up(std::int64_t round) {
     growth_ += static_cast<double>(finish_[here + k] - finish_[there + k] - hyper_) /
                static_cast<double>(hyper_);
   grew_ = growth_ > 0 && growth_ >= before ? grew_ + 1 : 0;
-  return grew_ > 4;
+  return grew_ > kMostGrowing;
 }
 
 bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Until& until) {

@@ -118,6 +118,8 @@ class Cluster {
   /// So often L is raised, beyond which nothing is claimed.
   static constexpr int kMostRounds = 8;
   static constexpr int kLeastSlackPct = 1;
+  /// Slacks that are tried: with more of it lateness falls sooner. Chosen; the checker has the same.
+  static constexpr int kSlacksPct[] = {8, 5, 3, 2, kLeastSlackPct};
 
   /// λ and settles(), with the largest slack that is left, of those up to slack_pct_ if that is set. Why
   /// nothing follows; empty: it does.
@@ -247,7 +249,7 @@ class Cluster {
 
   /// Both tables with so much slack, as if each job paid for a preemption; and with what L lets in.
   bool find_slack(std::int64_t& pairs) {
-    for (const int pct : {8, 5, 3, 2, 1}) {
+    for (const int pct : kSlacksPct) {
       if (slack_pct_ > 0 && pct > slack_pct_) continue;
       const auto passes = [&](const Problem& of, const std::vector<int>& xpu, Windows w) {
         Problem p = of;

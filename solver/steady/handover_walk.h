@@ -183,7 +183,7 @@ class Walk {
     Tick work;
     Tick begun = 0;  ///< the latest key less all work, of those up to here; the least so far
   };
-  static constexpr Tick kNotYet = kMostTicks * 1024;  ///< its end is not known yet
+  static constexpr Tick kNotYet = kForever;  ///< its end is not known yet
   struct OnXpu {
     std::vector<int> by_key;    ///< all, the walked ones too
     std::size_t first = 0;      ///< all before it are walked

@@ -36,6 +36,42 @@ struct How {
   bool lets_in = false;        ///< with room for whom lateness lets in (Options::lets_in)
 };
 
+// ---- constants of the search --------------------------------------------------------------------
+// None is tuned: each was chosen when what it belongs to was written, and no measurement of its
+// neighbours is kept. `bench_tables` shows what a change does.
+
+/// Share of the time limit for changes; and where some change has no worst case yet.
+constexpr double kForChanges = 0.2, kForClaims = 0.4;
+/// Slices that it is cut into, each for one search. A search for slack has two of them, one for
+/// room, which takes longer to find, three; all worst cases of changes at once have four.
+constexpr double kSlicesForChanges = 12, kSlicesForSlack = 2, kSlicesForRoom = 3;
+constexpr double kSlicesForHandovers = 4;
+/// XPUs of its own for each clock. Share of the limit for one split; so many of it for the search
+/// where clocks share them; share for all splits.
+constexpr double kForSplit = 1.0 / 200, kSplitsForShared = 4, kForSplits = 0.25;
+/// Of a scenario's share: its bounds, where each clock has XPUs of its own in the tables.
+constexpr double kForBounds = 0.25;
+constexpr double kForWhole = 0.1;         ///< of what is left: one table for all scenarios
+constexpr double kForClaimed = 1.0 / 50;  ///< whether each change has a worst case
+/// Searches for the least loss that a scenario's share is divided by.
+constexpr double kLossTries = 8;
+/// Seconds of a search at least; of one for a table, and for the table of all. At most, of one that
+/// improves a table.
+constexpr double kLeastSearchS = 0.02, kLeastForTableS = 0.05, kLeastForWholeS = 0.1,
+                 kMostSearchS = 1;
+
+// Where evaluations are counted, time is not, and rounds end the search: all of the tables, and for
+// changes, per table.
+constexpr int kTableRounds = 12, kChangeRounds = 3;
+
+/// Slack of each XPU, percent, in tables of clocks that share it. The latter is what theorem 10
+/// asks for, and tried where the former is too much.
+constexpr int kSlackPct = 3, kLeastSlackPct = 1;
+/// How much more regret a scenario may have, so that changes are shorter; so that more is claimed
+/// of them, or fewer deadlines are missed.
+constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
+constexpr double kLeastValue = 1e-9;  ///< of a bound that regrets are divided by
+
 class KeyTablesSearch {
  public:
   KeyTablesSearch(const AppSpec& app, const Platform& platform, const Scenarios& scenarios,
@@ -54,9 +90,8 @@ class KeyTablesSearch {
     XAUTO_TRY(solve_each());
     for (std::size_t loss = 0; loss < losses_.size(); ++loss) solve_all(loss);
     TableChoice best = choose();
-    constexpr int kRounds = 12;  // of a fixed number of evaluations each
     std::optional<bool> all_claimed;
-    for (int round = 0; options_.max_evaluations == 0 || round < kRounds; ++round) {
+    for (int round = 0; options_.max_evaluations == 0 || round < kTableRounds; ++round) {
       if (run_.over() || best.chosen.empty() || best.worst <= run_.goal()) break;
       if (options_.max_evaluations == 0 && is_time(kForClaims)) {
         if (!all_claimed) all_claimed = claims_all(best);
@@ -98,14 +133,14 @@ class KeyTablesSearch {
     for (const int c : components.of) clock_of_.push_back(components.components[at(c)].domain);
     if (clocks < 2) return {};
     std::vector<int> owner(platform_.xpus.size(), 0), best;
-    const double slice = std::max(0.02, options_.time_limit_s / 200);
-    const auto shared =
-        solve_for(scenarios_.front(), {}, 4 * slice, options_.threads, options_.seed, nullptr);
+    const double slice = std::max(kLeastSearchS, options_.time_limit_s * kForSplit);
+    const auto shared = solve_for(scenarios_.front(), {}, kSplitsForShared * slice,
+                                  options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
     const double cheap = kMostForClaims * value_of(worst_of(shared->policy));
     double most = std::max(cheap, app_.has_deadlines() ? 1.0 : 0.0);
     do {
-      if (run_.elapsed() > options_.time_limit_s / 4) break;
+      if (run_.elapsed() > options_.time_limit_s * kForSplits) break;
       forbids_ = forbids_of(owner);
       const auto answer =
           solve_for(scenarios_.front(), {}, slice, options_.threads, options_.seed, nullptr);
@@ -222,12 +257,12 @@ class KeyTablesSearch {
   /// may lose, where they do not even so.
   [[nodiscard]] Loss least_loss_under(std::size_t s, double seconds) const {
     const double until_s = run_.elapsed() + seconds;
-    constexpr double kTries = 8;
     const auto suffices = [&](const Loss& loss) {
       const std::vector<int> there = kept_chains(app_, loss);
       if (there.empty()) return true;  // solve_each refuses it
       const auto answer = solve_for(
-          scenarios_[s], loss, std::max(0.02, std::min(seconds / kTries, until_s - run_.elapsed())),
+          scenarios_[s], loss,
+          std::max(kLeastSearchS, std::min(seconds / kLossTries, until_s - run_.elapsed())),
           options_.threads, options_.seed + s, nullptr, {.in_time = true});
       if (!answer || answer->outcome != Outcome::kPolicy) return false;
       for (std::size_t k = 0; k < there.size(); ++k) {
@@ -267,8 +302,8 @@ class KeyTablesSearch {
       std::optional<Answer> bounds;
       if (!forbids_.empty()) {
         const auto forbids = std::exchange(forbids_, {});
-        auto all =
-            solve_for(scenarios_[s], loss, share_s / 4, options_.threads, options_.seed, nullptr);
+        auto all = solve_for(scenarios_[s], loss, share_s * kForBounds, options_.threads,
+                             options_.seed, nullptr);
         forbids_ = forbids;
         if (all) bounds = std::move(*all);
       }
@@ -288,7 +323,7 @@ class KeyTablesSearch {
                     where, "more time: --time-limit-s");
       loss_of_.push_back(lossy);
       bound_.push_back(of_all_chains(answer.lower_bound_us, loss));
-      bound_value_.push_back(std::max(1e-9, value_of(bound_.back())));
+      bound_value_.push_back(std::max(kLeastValue, value_of(bound_.back())));
       add(scenarios_[s], lossy, std::move(answer.policy));
       run_.tell(bound_.size(), kCannotServe);
     }
@@ -304,9 +339,10 @@ class KeyTablesSearch {
     if (all.empty()) return;
     const Scenario envelope = join(all);
     if (known(envelope, loss)) return;
-    const auto answer = solve_for(envelope, losses_[loss],
-                                  std::max(0.1, (options_.time_limit_s - run_.elapsed()) / 10),
-                                  options_.threads, options_.seed, nullptr);
+    const auto answer =
+        solve_for(envelope, losses_[loss],
+                  std::max(kLeastForWholeS, (options_.time_limit_s - run_.elapsed()) * kForWhole),
+                  options_.threads, options_.seed, nullptr);
     if (!answer || answer->outcome != Outcome::kPolicy) return;
     add(envelope, loss, answer->policy);
     candidates_.back().for_all = true;
@@ -429,9 +465,10 @@ class KeyTablesSearch {
         tasks.push_back({std::move(group), c, random_.next()});
       }
     }
-    const double slice = std::min(1.0, std::max(0.05, options_.time_limit_s - run_.elapsed()) *
-                                           static_cast<double>(options_.threads) /
-                                           static_cast<double>(tasks.size()));
+    const double slice =
+        std::min(kMostSearchS, std::max(kLeastForTableS, options_.time_limit_s - run_.elapsed()) *
+                                   static_cast<double>(options_.threads) /
+                                   static_cast<double>(tasks.size()));
     run_.on_threads(tasks.size(), [&](std::size_t k) {
       const Scenario envelope = join(tasks[k].group);
       const KeyPolicy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
@@ -489,7 +526,7 @@ class KeyTablesSearch {
   [[nodiscard]] bool claims_all(const TableChoice& choice) const {
     std::vector<int> candidate;
     Tables tables = tables_of(choice, candidate);
-    return set_handovers(tables, -1, run_.until_after(options_.time_limit_s / 50)) &&
+    return set_handovers(tables, -1, run_.until_after(options_.time_limit_s * kForClaimed)) &&
            cost_of(tables.handovers, tables, app_).unclaimed == 0;
   }
 
@@ -536,12 +573,11 @@ class KeyTablesSearch {
     if (n < 2) return best;
     ChangeCost cost = cost_of(best.handovers, best, app_);
     const double slice =
-        std::max(0.05, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
+        std::max(kLeastForTableS, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
     How needs;
     if (cost.unclaimed > 0 && clocks_share(candidate))
       needs = leave_slack(choice, regret_before, slice, candidate, best, cost);
-    constexpr int kRounds = 3;  // of a fixed number of evaluations each
-    for (int round = 0; options_.max_evaluations == 0 || round < kRounds * n; ++round) {
+    for (int round = 0; options_.max_evaluations == 0 || round < kChangeRounds * n; ++round) {
       // What has not settled does so where there is time to spare.
       How how = needs;
       if (cost.unclaimed > 0 && round / n % 2 == 0) how.slack_pct = kSlackPct;
@@ -597,7 +633,7 @@ class KeyTablesSearch {
       const How how = tries[k].how;
       const bool room = base == kItself && how.lets_in;
       // Room takes longer to find.
-      const double each = (room ? 3 : 2) * slice;
+      const double each = (room ? kSlicesForRoom : kSlicesForSlack) * slice;
       if (!fit(n, each)) continue;
       if (base == kItself && k > 0 && cost.unclaimed < (room ? 1 : unclaimed)) continue;
       if (base != kItself) forbids_.clear();
@@ -626,7 +662,7 @@ class KeyTablesSearch {
               {c, {.keep = Keep::kPlacement, .slack_pct = how.slack_pct, .lets_in = true}});
       Tables tables = best;
       for (std::size_t t = 0; t < n; ++t) replace(tables, static_cast<int>(t), *found[t]);
-      if (!set_handovers(tables, -1, run_.until_after(4 * slice))) continue;
+      if (!set_handovers(tables, -1, run_.until_after(kSlicesForHandovers * slice))) continue;
       const ChangeCost of = cost_of(tables.handovers, tables, app_);
       if (!(of < cost)) continue;
       if (of.unclaimed < unclaimed) needs = {.slack_pct = kSlackPct, .lets_in = how.lets_in};
@@ -695,7 +731,7 @@ class KeyTablesSearch {
     if (!found) return;
     Tables tables = before;
     replace(tables, trial.table, *found);
-    if (!set_handovers(tables, trial.table, run_.until_after(4 * slice))) return;
+    if (!set_handovers(tables, trial.table, run_.until_after(kSlicesForHandovers * slice))) return;
     trial.cost = cost_of(tables.handovers, tables, app_);
     trial.tables = std::move(tables);
     trial.found = std::move(found);
@@ -766,14 +802,6 @@ class KeyTablesSearch {
   const TablesOptions& options_;
   const TablesRun run_;
   Random random_;
-  /// Of the time; where some change has no worst case yet.
-  static constexpr double kForChanges = 0.2, kForClaims = 0.4;
-  static constexpr double kSlicesForChanges = 12;
-  static constexpr int kSlackPct = 3,
-                       kLeastSlackPct = 1;  ///< the latter is what theorem 10 asks for
-  /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed of
-  /// them, or fewer deadlines are missed.
-  static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   Forbids forbids_;
   std::vector<int> clock_of_;                     ///< [xnode] number of its domain

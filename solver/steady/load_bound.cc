@@ -19,9 +19,19 @@ using Int = __int128;
 /// Weights, and the values of objectives, are whole, in units of 2^-20.
 constexpr int kShift = 20;
 constexpr std::int64_t kOne = std::int64_t{1} << kShift;
-constexpr int kPicks = 48;
+
+// What is searched for in floating point, and counted in integers: a worse search bounds less,
+// nothing wrong. Where nothing more is said, a value is not tuned: chosen.
+constexpr int kPicks = 48;  ///< that prices answer to the mean of
 /// Rounds of the ascent: of the first case, and of those that begin with the prices of another one.
+/// The latter were 160, and 56, before: with fewer there is time for more cases.
 constexpr int kAscent = 160, kAscentAgain = 20;
+/// Steps of the ascent fall as 1 / (first + slower * round), in units of the largest value.
+constexpr double kStepFirst = 2, kStepSlower = 0.25;
+/// Rounds in which an XNode was not on its usual type, as a share of all: above it the case is
+/// parted by its type. They count so many times for an XNode on a chain's way.
+constexpr double kMuchSplit = 0.02, kOnWayCounts = 4;
+constexpr int kMostTypes = 31;  ///< a bit each
 /// Of one XPU, who is looked at in pairs, and in threes.
 constexpr std::size_t kMostOnXpu = 64, kMostInThrees = 16;
 /// A bound that is so near to the value of an assignment is not looked at any further.
@@ -31,6 +41,8 @@ constexpr std::size_t kMostStepsOfRound = 2'000'000;
 /// Prices and visits up to here times work of 2^47 fit 127 bits, with room for their sums.
 constexpr double kMostPrice = 0x1p66;
 constexpr std::int64_t kMostVisits = std::int64_t{1} << 58;
+/// Weight of a deadline, at most, so that visits fit: a very short one counts less than it could.
+constexpr std::int64_t kMostWeight = std::int64_t{1} << 44;
 
 /// What is bounded: the sum of weight * term, or the largest of them.
 struct Objective {
@@ -150,7 +162,7 @@ class Bounder {
         visits.add(picks.front(), -1);
         picks.pop_front();
       }
-      const double step = scale / (2 + 0.25 * (round + kAscent - rounds));
+      const double step = scale / (kStepFirst + kStepSlower * (round + kAscent - rounds));
       for (std::size_t t = 0; t < types_; ++t)
         y[t] = std::max(0.0, y[t] + step * (load[t] - count_[t]));
       const double found = estimate(c, visits, y);
@@ -451,9 +463,9 @@ class Bounder {
         largest = std::max(largest, share[i * types_ + t]);
         sum += share[i * types_ + t];
       }
-      return (sum - largest) * (best_.of[i] > 0 ? 4 : 1);
+      return (sum - largest) * (best_.of[i] > 0 ? kOnWayCounts : 1);
     };
-    double most = 0.02 * rounds;
+    double most = kMuchSplit * rounds;
     if (!reached)
       for (std::size_t i = 0; i < c.left.size(); ++i)
         if (const double weight = minor(i); !is_fixed(c.left[i]) && weight > most) {
@@ -558,7 +570,7 @@ class Bounder {
 /// In units of 2^-20.
 Int bound_of_cases(const Problem& p, const Objective& objective, int most_cases,
                    const Until& until) {
-  if (p.num_types > 31) return 0;
+  if (p.num_types > kMostTypes) return 0;
   Int visits = 0;
   std::size_t steps = at(p.num_xnodes) * at(p.num_types);
   for (std::size_t k = 0; k < objective.terms.size(); ++k)
@@ -633,8 +645,8 @@ double largest_bound(const Problem& p, const std::vector<Term>& terms, int most_
   // A weight of longest / deadline, rounded down: no ratio is less than it says.
   Objective largest{terms, {}, true};
   for (const Term& term : terms)
-    largest.weight.push_back(static_cast<std::int64_t>(std::min<Int>(
-        (Int{longest} << kShift) / std::max<std::int64_t>(1, term.by), std::int64_t{1} << 44)));
+    largest.weight.push_back(static_cast<std::int64_t>(
+        std::min<Int>((Int{longest} << kShift) / std::max<std::int64_t>(1, term.by), kMostWeight)));
   return down(down(static_cast<double>(bound_of_cases(p, largest, most_cases, until)) /
                    static_cast<double>(kOne)) /
               static_cast<double>(longest));

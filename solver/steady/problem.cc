@@ -190,7 +190,7 @@ struct Builder {
     for (std::size_t k = 0; k < app.clocks.size(); ++k) {
       p.clock_name.push_back(app.clocks[k].name);
       const std::int64_t ppm = app.clocks[k].ppm;
-      if (ppm < 0 || ppm > 100'000)
+      if (ppm < 0 || ppm > kMaxPpm)
         return fail(ErrorCode::kInvalid, "ppm has to be in [0, 100000]",
                     "clock '" + app.clocks[k].name + "'");
       Domain whole;
@@ -378,7 +378,7 @@ struct Builder {
       const auto [from, to] = p.samples[s];
       const int next = p.component_of[at(to)];
       if (seen[at(next)] != 0 || !along_edges(v, from)) continue;
-      if (++steps > 1'000'000)
+      if (++steps > kMostPathSteps)
         return fail(ErrorCode::kInvalid, "too many ways through samples",
                     "chain '" + chain.name + "'", "state the chains that matter in \"chains\"");
       seen[at(next)] = 1;

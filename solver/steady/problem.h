@@ -26,12 +26,16 @@ using Tick = std::int64_t;
 inline constexpr Tick kNoTick = -1;
 /// No single time of an app is longer, so that sums along 2^13 XNodes fit 64 bits.
 inline constexpr Tick kMostTicks = Tick{1} << 47;
+/// No key after its release is longer, and no interval that is looked at.
+inline constexpr Tick kMostKey = kMostTicks * 64, kForever = kMostTicks * 1024;
 /// Above this many jobs a hyperperiod, the components of a clock are planned in groups, as if the
 /// groups' clocks were different: safe, and weaker.
 inline constexpr std::int64_t kMostJobs = 100'000;
 inline constexpr std::int64_t kMostJobsOfGroup = 2'000;
 /// Ways from a source to an XNode through samples, all chains together.
 inline constexpr std::size_t kMostPaths = 4096;
+/// Steps that the search for one chain's ways may take.
+inline constexpr int kMostPathSteps = 1'000'000;
 
 inline constexpr std::int64_t kMillion = 1'000'000;
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <numeric>
 
 #include "solver/steady/sustain.h"
@@ -10,8 +11,82 @@
 namespace xauto::solver::steady {
 namespace {
 
-/// What the annealer pays for an XNode that is not at home, where a good answer costs about 1.
+// ---- constants of the search --------------------------------------------------------------------
+// Where nothing more is said, a value is not tuned: it was chosen when the search, or the move, was
+// written, and stayed. Measured is only the search as a whole, on the 55 cases of bench/steady
+// ("tuned on", docs/steady-state.md). No measurement of single values and their neighbours is kept.
+// `bench_steady` shows what a change does.
+
+/// Of `figures`, before there is a candidate: more than any costs.
+constexpr double kNoCandidate = 1e18;
+
+// Where XNodes go in a start, by what each adds. Loads are shares of an XPU's time.
+/// Price of an XNode's own load, whatever the type, beside the type's price. A start is made with
+/// each; where a hint says nothing, XNodes are placed with the first.
+constexpr double kGreeds[] = {0.3, 1.0, 0.1, 3.0};
+/// Added to each type's price: else load would cost nothing on a type that is never full.
+constexpr std::int64_t kLeastPrice = kWeights / 64;
+constexpr double kCrowding = 0.3;  ///< price of load beside load, so that XPUs of a type share it
+/// What an XPU is loaded by above the first costs so much more.
+constexpr double kFull = 0.95, kFullCosts = 10;
+/// Keys by the period alone: later by this part of what lies before an XNode, for the ties.
+constexpr Tick kPartOfHead = 64;
+
+// Where a start overloads an XPU, its loads are annealed before anything is simulated.
+constexpr double kBalancedFrom = 0.97;  ///< a larger load of some XPU is annealed
+/// What the annealing pays: the square of each load, and so much for what is above this.
+constexpr double kOverfull = 0.98, kOverfullCosts = 40;
+constexpr int kBalanceStepsPerXNode = 200;
+/// Its temperature falls evenly from the first to the last, both in such costs.
+constexpr double kBalanceHot = 0.05, kBalanceCold = 1e-6;
+
+// Windows of a start on XPUs that domains share.
+/// Parts of the time that a module has; each is tried. One domain that nothing is urgent in takes
+/// all of it.
+constexpr double kWindowParts[] = {0.95, 0.5, 0.25};
+/// Activations in flight that a window may be spread over at most.
+constexpr std::int64_t kMostFlights = 64;
+
+/// How often a better candidate is simulated again with its own keys, at most.
+constexpr int kMostSettled = 3;
+
+// Moves. Below each limit, of a number drawn from (0, 1], is this move; the rest are keys, and
+// windows on shared XPUs.
+constexpr double kMoveBelow = 0.30;      ///< to another XPU
+constexpr double kExchangeBelow = 0.42;  ///< of XPUs between two XNodes
+constexpr double kHoldBelow = 0.50;      ///< of an XNode that samples: later, or none
+constexpr double kPoliteBelow = 0.56;    ///< whether it interrupts others in the plan
+constexpr double kOnCritical = 0.6;      ///< of moves: an XNode of the chain that sets the cost
+constexpr double kBackHome = 0.5;        ///< of moves to another XPU: home, where it is elsewhere
+constexpr double kUnhold = 0.5;          ///< of moves of a hold: none, where there is one
+constexpr double kOneMove = 0.75;        ///< of candidates: one move, not two
+
+// A key: just beside that of another one of its XPU, times a factor, or with its whole component.
+constexpr double kBesideBelow = 0.6, kKeyFactorBelow = 0.9;
+constexpr double kBefore = 0.6;    ///< of those beside another: before it, not behind
+constexpr int kTriesToMeet = 12;   ///< of finding another one by chance
+constexpr double kKeyRange = 1.2;  ///< factors are exp(+- half of this)
+
+// A window: that of another one of its XPU, nearer to the WCET, times a factor close to 1, times
+// any factor, or with its whole component.
+constexpr double kAlikeBelow = 0.25, kTighterBelow = 0.5, kFineBelow = 0.7, kFactorBelow = 0.85;
+constexpr double kFineRange = 0.3, kWindowRange = 1.5;
+constexpr double kComponentRange = 0.8;  ///< of keys and of windows
+
+// The annealer.
+/// What it pays for an XNode that is not at home, where a good answer costs about 1.
 constexpr double kToll = 0.1;
+/// Where turns begin, as shares of the cost, one after the other: no one is best for all apps. One
+/// that fell from turn to turn was before; by how much these are better is not kept.
+constexpr double kHot[] = {0.05, 0.15, 0.03};
+constexpr double kCold = 0.01;  ///< where they end, as a share of where they began
+/// Steps of a turn; twice as many after each round of `kHot`.
+constexpr std::int64_t kFirstSteps = 1500;
+/// Of what is not valid, the share of kInvalidCost that stands for the cost.
+constexpr double kInvalidShare = 0.05;
+constexpr std::int64_t kStepsPerChain = 16;  ///< accepted moves make the critical chain stale
+/// Turns in vain until those with a home may leave it.
+constexpr std::size_t kTurnsAtHome = 3;
 
 /// Longest ways of least WCETs behind each XNode, itself excluded.
 std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
@@ -48,7 +123,7 @@ bool Search::over() const {
 }
 
 Decision Search::from_hint(const KeyPolicy& hint) {
-  Decision d = constructed(balancing_weights(p_), 0.3, 0, true);
+  Decision d = constructed(balancing_weights(p_), kGreeds[0], 0, true);
   const std::vector<int> built = d.xpu;
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const KeyPlacement& placed = hint.placements[at(i)];
@@ -110,7 +185,9 @@ void Search::balance(std::vector<int>& xpu, int steps) {
            static_cast<double>(p_.period_of(i));
   };
   for (int i = 0; i < p_.num_xnodes; ++i) load[at(xpu[at(i)])] += rate(i, xpu[at(i)]);
-  const auto excess = [&](double l) { return l > 0.98 ? 40 * (l - 0.98) + l * l : l * l; };
+  const auto excess = [&](double l) {
+    return l > kOverfull ? kOverfullCosts * (l - kOverfull) + l * l : l * l;
+  };
   for (int s = 0; s < steps; ++s) {
     const int i = static_cast<int>(random_.below(at(p_.num_xnodes)));
     const auto& may = p_.may_run[at(i)];
@@ -120,7 +197,7 @@ void Search::balance(std::vector<int>& xpu, int steps) {
     const double before = excess(load[at(from)]) + excess(load[at(to)]);
     const double after =
         excess(load[at(from)] - rate(i, from)) + excess(load[at(to)] + rate(i, to));
-    const double heat = 0.05 * (1.0 - static_cast<double>(s) / steps) + 1e-6;
+    const double heat = kBalanceHot * (1.0 - static_cast<double>(s) / steps) + kBalanceCold;
     if (after <= before || random_.unit() < std::exp((before - after) / heat)) {
       load[at(from)] -= rate(i, from);
       load[at(to)] += rate(i, to);
@@ -165,14 +242,14 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
       if (group >= 0 && std::any_of(p_.groups[at(group)].begin(), p_.groups[at(group)].end(),
                                     [&](int j) { return p_.wcet(j, m) == kNoTick; }))
         continue;
-      constexpr auto kLeast = kWeights / 64;
-      const double price = static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kLeast) / kWeights;
+      const double price =
+          static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kLeastPrice) / kWeights;
       const double rate = rate_on(i, m);
       const double after = load[at(m)] + rate;
       double cost = rate * price +
                     greed * static_cast<double>(p_.wcet(i, m)) / static_cast<double>(least[at(i)]) *
                         weight_of(i) +
-                    0.3 * rate * after + (after > 0.95 ? 10 * (after - 0.95) : 0);
+                    kCrowding * rate * after + (after > kFull ? kFullCosts * (after - kFull) : 0);
       // A domain beside another has to wait for all phases.
       if (first_domain[at(m)] >= 0 && first_domain[at(m)] != p_.domain_of(i)) cost += rate;
       if (where < 0 || cost < best) {
@@ -187,8 +264,8 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
     load[at(where)] += rate_on(i, where);
     if (first_domain[at(where)] < 0) first_domain[at(where)] = p_.domain_of(i);
   }
-  if (std::any_of(load.begin(), load.end(), [](double l) { return l > 0.97; }))
-    balance(d.xpu, 200 * p_.num_xnodes);
+  if (std::any_of(load.begin(), load.end(), [](double l) { return l > kBalancedFrom; }))
+    balance(d.xpu, kBalanceStepsPerXNode * p_.num_xnodes);
   std::vector<Tick> work(at(p_.num_xnodes));
   for (int i = 0; i < p_.num_xnodes; ++i) work[at(i)] = std::max(Tick{1}, p_.wcet(i, d.xpu[at(i)]));
   const std::vector<Tick> head = heads(p_, work), tail = tails(p_, work);
@@ -198,7 +275,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
     for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
       span = std::max(span, head[at(j)] + work[at(j)] + tail[at(j)]);
     const Tick due = rule == 0 ? std::max(p_.period_of(i), span) : span;
-    d.key[at(i)] = rule == 2 ? p_.period_of(i) + head[at(i)] / 64 : due - tail[at(i)];
+    d.key[at(i)] = rule == 2 ? p_.period_of(i) + head[at(i)] / kPartOfHead : due - tail[at(i)];
   }
   return d;
 }
@@ -222,9 +299,8 @@ void Search::spread_windows(Decision& d, double part) const {
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int module = p_.module_of[at(i)];
     const auto flights =
-        module < 0
-            ? 1.0
-            : static_cast<double>(std::min(p_.modules[at(module)].in_flight, std::int64_t{64}));
+        module < 0 ? 1.0
+                   : static_cast<double>(std::min(p_.modules[at(module)].in_flight, kMostFlights));
     const double all = flights * static_cast<double>(p_.period_of(i)) * part;
     const auto way = static_cast<double>(head[at(i)] + weight[at(i)] + tail[at(i)]);
     const auto window = static_cast<Tick>(all * static_cast<double>(weight[at(i)]) / way);
@@ -236,7 +312,7 @@ void Search::spread_windows(Decision& d, double part) const {
 /// nobody. Makes it invalid otherwise.
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
   if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
-    for (int k = 0; k < 3; ++k)
+    for (int k = 0; k < kMostSettled; ++k)
       if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.finish_until)) break;
     if (certify(p_, candidate.decision.xpu, candidate.figures.w, nullptr, limits_.finish_until)) {
       best_ = candidate;
@@ -259,19 +335,19 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   std::vector<std::int64_t> flat(weights.size(),
                                  kWeights / static_cast<std::int64_t>(weights.size()));
   best_.figures = {};
-  best_.figures.cost = 1e18;
-  const std::vector<double> parts = p_.domains.size() > 1 || p_.any_urgent
-                                        ? std::vector<double>{0.95, 0.5, 0.25}
-                                        : std::vector<double>{1};
-  for (const double greed : {0.3, 1.0, 0.1, 3.0})
+  best_.figures.cost = kNoCandidate;
+  std::vector<double> parts{1};
+  if (p_.domains.size() > 1 || p_.any_urgent)
+    parts.assign(std::begin(kWindowParts), std::end(kWindowParts));
+  for (const double greed : kGreeds)
     for (const int rule : {0, 1, 2})
       for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
         for (const bool charge : {true, false}) {
-          if (over() && best_.figures.cost < 1e18) return;
+          if (over() && best_.figures.cost < kNoCandidate) return;
           Candidate c;
           c.decision = constructed(*prices, greed, rule, charge);
           for (const double part : parts) {
-            if (over() && best_.figures.cost < 1e18) return;
+            if (over() && best_.figures.cost < kNoCandidate) return;
             spread_windows(c.decision, part);
             evaluate(c);
             take(c, on_better);
@@ -299,7 +375,8 @@ void Search::set_critical(const Candidate& of) {
 }
 
 int Search::pick(const Candidate&) {
-  if (!critical_.empty() && random_.unit() < 0.6) return critical_[random_.below(critical_.size())];
+  if (!critical_.empty() && random_.unit() < kOnCritical)
+    return critical_[random_.below(critical_.size())];
   return static_cast<int>(random_.below(at(p_.num_xnodes)));
 }
 
@@ -312,17 +389,18 @@ bool Search::change_window(const Candidate& from, Decision& next, int i) {
     const double ticks = std::min(static_cast<double>(w) * by, static_cast<double>(kMostTicks));
     return std::max(p_.up_to_us(p_.wcet(i, m)), static_cast<Tick>(ticks) / p_.scale * p_.scale);
   };
-  if (how < 0.25) {
+  if (how < kAlikeBelow) {
     // As long as that of another one of its XPU: neither can interrupt the other.
     const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
     if (j == i || next.xpu[at(j)] != m) return false;
     window = std::max(least, next.window[at(j)]);
-  } else if (how < 0.5 && from.figures.valid) {
+  } else if (how < kTighterBelow && from.figures.valid) {
     window = least + scaled(window - least, random_.unit());
-  } else if (how < 0.85) {
-    window = scaled(window, std::exp((random_.unit() - 0.5) * (how < 0.7 ? 0.3 : 1.5)));
+  } else if (how < kFactorBelow) {
+    window = scaled(
+        window, std::exp((random_.unit() - 0.5) * (how < kFineBelow ? kFineRange : kWindowRange)));
   } else {
-    const double by = std::exp((random_.unit() - 0.5) * 0.8);
+    const double by = std::exp((random_.unit() - 0.5) * kComponentRange);
     for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
       next.window[at(j)] = scaled(next.window[at(j)], by);
     return true;
@@ -334,18 +412,18 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   const double what = random_.unit();
   const int i = pick(from);
   const auto& may = p_.may_run[at(i)];
-  if (what < 0.30 && may_move(i)) {
+  if (what < kMoveBelow && may_move(i)) {
     if (may.size() < 2) return false;
     int m = may[random_.below(may.size())];
     if (keep_ == Keep::kMost && home_[at(i)] >= 0 && next.xpu[at(i)] != home_[at(i)] &&
-        random_.unit() < 0.5)
+        random_.unit() < kBackHome)
       m = home_[at(i)];
     if (!std::binary_search(may.begin(), may.end(), m)) return false;
     if (m == next.xpu[at(i)]) return false;
     put(next, i, m);
     return next.xpu[at(i)] == m;
   }
-  if (what < 0.42 && may_move(i)) {
+  if (what < kExchangeBelow && may_move(i)) {
     const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
     if (!may_move(j)) return false;
     const int mi = next.xpu[at(i)], mj = next.xpu[at(j)];
@@ -358,11 +436,11 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     std::swap(next.xpu[at(i)], next.xpu[at(j)]);
     return true;
   }
-  if (what < 0.50 && !readers_.empty()) {
+  if (what < kHoldBelow && !readers_.empty()) {
     // Later, so as to read something newer: or no longer.
     const int v = readers_[random_.below(readers_.size())];
     Tick& hold = next.hold[at(v)];
-    if (hold > 0 && random_.unit() < 0.5) {
+    if (hold > 0 && random_.unit() < kUnhold) {
       hold = 0;
       return true;
     }
@@ -374,7 +452,7 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     hold = hold / p_.scale * p_.scale;
     return hold != before;
   }
-  if (what < 0.56) {
+  if (what < kPoliteBelow) {
     const int m = next.xpu[at(i)];
     if (p_.preemptive[at(m)] == 0 || p_.preempt[at(m)] == 0) return false;
     next.polite[at(i)] = next.polite[at(i)] == 0 ? 1 : 0;
@@ -384,20 +462,21 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   Tick& key = next.key[at(i)];
   const Tick before = key;
   const double how = random_.unit();
-  if (how < 0.6) {
+  if (how < kBesideBelow) {
     // Just before or behind another one of its XPU.
     int j = -1;
-    for (int tries = 0; tries < 12 && j < 0; ++tries) {
+    for (int tries = 0; tries < kTriesToMeet && j < 0; ++tries) {
       const int other = static_cast<int>(random_.below(at(p_.num_xnodes)));
       if (other != i && next.xpu[at(other)] == next.xpu[at(i)]) j = other;
     }
     if (j < 0) return false;
-    key = next.key[at(j)] + (random_.unit() < 0.6 ? -1 : 1);
-  } else if (how < 0.9) {
-    key = static_cast<Tick>(static_cast<double>(key) * std::exp((random_.unit() - 0.5) * 1.2));
+    key = next.key[at(j)] + (random_.unit() < kBefore ? -1 : 1);
+  } else if (how < kKeyFactorBelow) {
+    key =
+        static_cast<Tick>(static_cast<double>(key) * std::exp((random_.unit() - 0.5) * kKeyRange));
   } else {
     // All of its component, against the others.
-    const double factor = std::exp((random_.unit() - 0.5) * 0.8);
+    const double factor = std::exp((random_.unit() - 0.5) * kComponentRange);
     for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
       next.key[at(j)] = std::clamp<Tick>(
           static_cast<Tick>(static_cast<double>(next.key[at(j)]) * factor), 1, kMostTicks);
@@ -413,14 +492,15 @@ void Search::anneal(std::int64_t steps, double hot,
   set_critical(current);
   shared_ = shared_xpus(p_, current.decision.xpu);
   for (std::int64_t s = 0; s < steps && !over(); ++s) {
-    const double heat = hot * std::pow(0.01, static_cast<double>(s) / static_cast<double>(steps));
+    const double heat = hot * std::pow(kCold, static_cast<double>(s) / static_cast<double>(steps));
     next.decision = current.decision;
     bool changed = false;
-    const int moves = random_.unit() < 0.75 ? 1 : 2;
+    const int moves = random_.unit() < kOneMove ? 1 : 2;
     for (int m = 0; m < moves; ++m) changed = mutate(current, next.decision) || changed;
     if (!changed) continue;
     // Drawn before, so that most candidates need not be simulated to the end.
-    const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
+    const double scale =
+        current.figures.valid ? current.figures.cost : kInvalidShare * kInvalidCost;
     const int moved_now = moved(next.decision);
     const double allowed = current.figures.cost - heat * scale * std::log(random_.unit()) +
                            kToll * (current.figures.moved - moved_now);
@@ -436,7 +516,7 @@ void Search::anneal(std::int64_t steps, double hot,
     }
     std::swap(current, next);
     shared_ = shared_xpus(p_, current.decision.xpu);
-    if ((s & 15) == 0) set_critical(current);
+    if (s % kStepsPerChain == 0) set_critical(current);
   }
 }
 
@@ -445,7 +525,7 @@ void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
   limits_ = limits;
   keep_ = hint == nullptr ? Keep::kNothing : keep;
   best_.figures = {};
-  best_.figures.cost = 1e18;
+  best_.figures.cost = kNoCandidate;
   home_.clear();
   if (hint != nullptr) {
     for (const KeyPlacement& placed : hint->placements) home_.push_back(placed.xpu);
@@ -456,20 +536,20 @@ void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
   }
   still_ = keep_ == Keep::kMost;
   if (keep_ == Keep::kNothing) construct(on_better);
-  // No one temperature is best for all apps.
-  std::int64_t steps = 1500;
+  std::int64_t steps = kFirstSteps;
   for (std::size_t cycle = 0; !over(); ++cycle) {
-    constexpr double kHot[] = {0.05, 0.15, 0.03};
     // Where nobody has to move, nobody does: only a few turns in vain say otherwise.
-    if (still_ && cycle >= 3 && (!best_.figures.valid || best_.figures.late > 1)) {
+    if (still_ && cycle >= kTurnsAtHome && (!best_.figures.valid || best_.figures.late > 1)) {
       still_ = false;
       construct(on_better);
     }
     const std::int64_t before = evaluator_.evaluations();
-    if (limits_.exchange && cycle % 3 == 2) limits_.exchange(best_);
-    anneal(steps, kHot[cycle % 3], on_better);
+    const std::size_t turn = cycle % std::size(kHot);
+    const bool last = turn + 1 == std::size(kHot);
+    if (limits_.exchange && last) limits_.exchange(best_);
+    anneal(steps, kHot[turn], on_better);
     if (evaluator_.evaluations() == before && !still_) return;  // nothing can be changed
-    if (cycle % 3 == 2) steps *= 2;
+    if (last) steps *= 2;
   }
 }
 

@@ -16,9 +16,15 @@ bool all_equal(const std::vector<std::int64_t>& values) {
   return std::adjacent_find(values.begin(), values.end(), std::not_equal_to<>()) == values.end();
 }
 
-/// Beyond a limit that is short: even 0 has an answer where the app is small.
-constexpr double kToFinishS = 0.2;
+// The time of a limit. Its parts are not tuned: chosen.
+constexpr double kForFirstBounds = 0.1;  ///< part of the limit, at most
+/// For finer bounds at the end: a part of the limit, and at most so many seconds.
+constexpr double kForFinerBounds = 0.08, kForFinerBoundsS = 1;
+/// Beyond the limit, to finish what was begun: a part of it. At least the seconds: even a limit of
+/// 0 has an answer where the app is small.
+constexpr double kToFinish = 0.1, kToFinishS = 0.2;
 /// Cases that are parted, at most, for each chain's bound at the end, and for that of all together.
+/// Of all together 60 and 2000 were before; what the number alone brought is not kept.
 constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
 
 /// Rounded up: what is claimed may be larger, never smaller.
@@ -129,35 +135,35 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     answer.overload = std::move(*proof);
     return answer;
   }
-  const double limit = std::clamp(options.time_limit_s, 0.0, 1e6);
+  const double limit = std::clamp(options.time_limit_s, 0.0, kNoLimitS);
   const Until until{began + std::chrono::duration_cast<SteadyTime::duration>(
                                 std::chrono::duration<double>(limit)),
                     options.stop};
   Until for_bounds = until;
   for_bounds.deadline =
       std::min(until.deadline, began + std::chrono::duration_cast<SteadyTime::duration>(
-                                           std::chrono::duration<double>(limit * 0.1)));
+                                           std::chrono::duration<double>(limit * kForFirstBounds)));
   const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
   for (const Tick t : reference) answer.lower_bound_us.push_back(us_above(p, t));
 
   // The last of the time is for finer bounds.
   Until for_search = until, for_finer = until;
-  if (limit < 1e6)
-    for_search.deadline =
-        std::max(for_bounds.deadline,
-                 began + std::chrono::duration_cast<SteadyTime::duration>(
-                             std::chrono::duration<double>(limit - std::min(0.08 * limit, 1.0))));
+  if (limit < kNoLimitS)
+    for_search.deadline = std::max(
+        for_bounds.deadline,
+        began + std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
+                    limit - std::min(kForFinerBounds * limit, kForFinerBoundsS))));
 
   Until to_finish = until;
-  if (limit < 1e6)
+  if (limit < kNoLimitS)
     to_finish.deadline += std::chrono::duration_cast<SteadyTime::duration>(
-        std::chrono::duration<double>(std::max(0.1 * limit, kToFinishS)));
+        std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
 
-  const int threads = std::clamp(options.threads, 1, 64);
+  const int threads = std::clamp(options.threads, 1, kMostThreads);
   Shared shared;
   std::vector<std::int64_t> evaluations(at(threads), 0);
   const auto work = [&](int index) {
-    Search search(p, reference, options.seed * 1000003 + static_cast<std::uint64_t>(index));
+    Search search(p, reference, options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
     SearchLimits limits{for_search, to_finish, 0, {}};
     if (options.max_evaluations > 0)
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);

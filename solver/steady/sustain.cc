@@ -7,7 +7,27 @@
 namespace xauto::solver::steady {
 namespace {
 
-constexpr std::size_t kMostCauses = 8;
+constexpr std::size_t kMostCauses = 8;  ///< XNodes that a proof names
+
+// Prices that prove an overload. They are searched for in floating point, and what they prove is
+// counted in integers: a worse search proves less, nothing wrong. None of these is tuned: chosen.
+/// Rounds of the ascent: with modules; without; without, for more XNodes than kManyXNodes.
+constexpr int kCrowdRounds = 600, kPriceRounds = 200, kPriceRoundsOfMany = 60;
+constexpr int kManyXNodes = 2000;
+/// Prices of types are also exchanged in pairs: by the first step, each smaller by the factor, down
+/// to the last. Of more types than kMostExchanged the pairs are too many.
+constexpr double kFirstExchange = 0.1, kExchangeFactor = 0.6, kLastExchange = 1e-5;
+constexpr std::size_t kMostExchanged = 8;
+constexpr double kSlopeError = 1e-9;  ///< of slopes, which are divided by the largest
+/// A type is named in the proof if its price is more than one part of so many.
+constexpr std::int64_t kNamedFrom = 50;
+/// Prices of types and modules are in these parts of kWeights.
+constexpr std::int64_t kPriceParts = 16;
+/// Parts that a share is counted in, so that rounding it down takes little: with kWeights, 10^6 and
+/// ticks of 2^47 they fit 128 bits.
+constexpr std::int64_t kCrowdParts = 1 << 16, kShareParts = 1 << 20;
+/// Up to here a load is told with two decimals, in percent: 100.01 is no 100.
+constexpr std::int64_t kToldExactly = 110;
 
 /// [xnode * types + type] work there; kNoTick: it cannot be there.
 std::vector<Tick> work_by_type(const Problem& p) {
@@ -53,7 +73,8 @@ double load_of(const Problem& p, const std::vector<double>& rate, const std::vec
 std::string name_of(const Problem& p, const std::vector<std::int64_t>& weights) {
   std::string names;
   for (std::size_t t = 0; t < weights.size(); ++t)
-    if (weights[t] * 50 > kWeights) names += (names.empty() ? "" : " and ") + p.type_name[t];
+    if (weights[t] * kNamedFrom > kWeights)
+      names += (names.empty() ? "" : " and ") + p.type_name[t];
   return names;
 }
 
@@ -106,13 +127,13 @@ class Crowd {
     const std::size_t n = types_ + room_.size();
     std::vector<double> w(n, 1.0 / static_cast<double>(n)), best = w, slope(n);
     double best_value = -1;
-    for (int round = 0; round < 600; ++round) {
+    for (int round = 0; round < kCrowdRounds; ++round) {
       const double value = ascent(w, slope);
       if (value > best_value) {
         best_value = value;
         best = w;
       }
-      double largest = 1e-9, sum = 0;
+      double largest = kSlopeError, sum = 0;
       for (const double x : slope) largest = std::max(largest, std::abs(x - value));
       const double step = 1.0 / std::sqrt(1.0 + round);
       for (std::size_t k = 0; k < n; ++k)
@@ -120,7 +141,7 @@ class Crowd {
       for (double& x : w) x /= sum;
     }
     std::vector<std::int64_t> whole;
-    for (const double x : best) whole.push_back(std::llround(x * kWeights * 16));
+    for (const double x : best) whole.push_back(std::llround(x * kWeights * kPriceParts));
     return whole;
   }
 
@@ -159,16 +180,17 @@ class Crowd {
       for (std::size_t t = 0; t < types_; ++t) {
         const __int128 c = work_[at(i) * types_ + t];
         if (c == kNoTick) continue;
-        __int128 share =
-            c * w[t] * kMillion * (1 << 16) / (static_cast<__int128>(p_.period_of(i)) * count_[t]);
+        __int128 share = c * w[t] * kMillion * kCrowdParts /
+                         (static_cast<__int128>(p_.period_of(i)) * count_[t]);
         if (way_[at(i)] >= 0)
-          share += c * w[types_ + at(way_[at(i)])] * kMillion * (1 << 16) / room_[at(way_[at(i)])];
+          share +=
+              c * w[types_ + at(way_[at(i)])] * kMillion * kCrowdParts / room_[at(way_[at(i)])];
         if (least < 0 || share < least) least = share;
       }
       if (least > 0) total += least;
     }
     return static_cast<std::int64_t>(
-        std::min<__int128>(total / sum / (1 << 16), kMillion * 1'000'000));
+        std::min<__int128>(total / sum / kCrowdParts, kMillion * 1'000'000));
   }
 
  private:
@@ -251,13 +273,13 @@ std::int64_t load_ppm(const Problem& p, const std::vector<std::int64_t>& weights
       const Tick c = work[at(i) * at(p.num_types) + t];
       if (c == kNoTick) continue;
       // Rounded down twice: never more than it is. 2^47 * 2^16 * 10^6 * 2^20 fit 128 bits.
-      const __int128 share = static_cast<__int128>(c) * weights[t] * kMillion * (1 << 20) /
+      const __int128 share = static_cast<__int128>(c) * weights[t] * kMillion * kShareParts /
                              (static_cast<__int128>(p.period_of(i)) * count[t]);
       if (least < 0 || share < least) least = share;
     }
     if (least > 0) total += least;
   }
-  const __int128 load = total / sum / (1 << 20);
+  const __int128 load = total / sum / kShareParts;
   return static_cast<std::int64_t>(std::min<__int128>(load, kMillion * 1'000'000'000));
 }
 
@@ -286,10 +308,10 @@ std::vector<std::int64_t> balancing_weights(const Problem& p) {
     one[t] = 1;
     consider(one);
   }
-  const int rounds = p.num_xnodes > 2000 ? 60 : 200;
+  const int rounds = p.num_xnodes > kManyXNodes ? kPriceRoundsOfMany : kPriceRounds;
   for (int r = 0; r < rounds; ++r) {
     static_cast<void>(load_of(p, rate, w, &slope));
-    double largest = 1e-9, sum = 0;
+    double largest = kSlopeError, sum = 0;
     for (const double s : slope) largest = std::max(largest, s);
     const double step = 1.0 / std::sqrt(1.0 + r);
     for (std::size_t t = 0; t < types; ++t) sum += w[t] *= std::exp(step * slope[t] / largest);
@@ -299,10 +321,10 @@ std::vector<std::int64_t> balancing_weights(const Problem& p) {
   }
   consider(mean);
   // Exchange between two types, finer and finer: exact for two, near enough for more.
-  for (double step = 0.1; step > 1e-5; step *= 0.6)
+  for (double step = kFirstExchange; step > kLastExchange; step *= kExchangeFactor)
     for (std::size_t a = 0; a < types; ++a)
       for (std::size_t b = 0; b < types; ++b) {
-        if (a == b || types > 8) continue;
+        if (a == b || types > kMostExchanged) continue;
         std::vector<double> next = best;
         const double moved = std::min(step, next[a]);
         next[a] -= moved;
@@ -379,7 +401,7 @@ std::optional<Overload> prove_overload(const Problem& p) {
   proof.load_pct = load / (kMillion / 100);
   // Rounded down, as "at least" says.
   std::string figure = std::to_string(proof.load_pct);
-  if (proof.load_pct < 110) {
+  if (proof.load_pct < kToldExactly) {
     const std::string rest = std::to_string(load / 100 % 100);
     figure += "." + std::string(2 - rest.size(), '0') + rest;
   }

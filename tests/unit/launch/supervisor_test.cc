@@ -89,6 +89,26 @@ TEST(Supervisor, StopsAnAppThatTheUserStops) {
       << outcome.error().what;
 }
 
+TEST(Supervisor, TellsAnAppWhichXpusTheEmulatorModulesHave) {
+  Supervision request = shell("");
+  request.command = {"python3", "-c", std::string(kAnswers) + R"py(
+os.write(session["answer_fd"], (":" + os.environ["XAUTO_EMU_DRIVERS"]).encode())
+)py"};
+  runtime::Session& session = request.session;
+  // An XPU of the app's own has no driver, and one that is not preemptive is never suspended.
+  session.platform = {"all",
+                      {{"cpu0", "cpu"}, {"gpu0", "gpu"}, {"dla0", "dla", false}, {"npu0", "npu"}}};
+  session.presence = std::vector<Presence>(4, Presence::kEmulated);
+  session.emulator_modules = true;
+  auto outcome = supervise(request);
+  ASSERT_TRUE(outcome) << outcome.error().to_string();
+  EXPECT_EQ(outcome->answer, "an answer:gpu0\n");
+  session.emulator_modules = false;
+  outcome = supervise(request);
+  ASSERT_TRUE(outcome) << outcome.error().to_string();
+  EXPECT_EQ(outcome->answer, "an answer:");
+}
+
 TEST(Supervisor, StopsAnAppAtItsTimeLimit) {
   auto request = shell("exec sleep 60");
   request.time_limit_s = 1;

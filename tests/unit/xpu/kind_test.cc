@@ -153,6 +153,14 @@ TEST(Kind, ATypeMayHaveARowForEachDriver) {
   fs::remove(node);
 }
 
+TEST(Kind, TheEmulatorModulesHaveWhatADriverSuspends) {
+  const Xpu gpu{"gpu0", "gpu"}, cpu{"cpu0", "cpu"}, npu{"npu0", "npu"}, gated{"dla0", "dla", false};
+  EXPECT_TRUE(is_by_modules(gpu));
+  EXPECT_FALSE(is_by_modules(cpu));
+  EXPECT_FALSE(is_by_modules(npu));
+  EXPECT_FALSE(is_by_modules(gated)) << "nobody suspends it";
+}
+
 TEST(Kind, AnXpuOfTheAppsOwnSaysHowItIsSuspended) {
   const Xpu npu{"npu0", "npu"};
   const XpuId id{"npu0", XPU("npu"), 0};
