@@ -135,6 +135,7 @@ FileChanges::FileChanges(const std::vector<std::string>& paths)
 }
 
 bool FileChanges::take() {
+  thread_.check();
   alignas(inotify_event) char buffer[4096];
   bool ours = false;
   for (ssize_t got = 0; (got = ::read(inotify_.get(), buffer, sizeof buffer)) > 0;)

@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "model/tables.h"
 #include "runtime/scenario_order.h"
@@ -68,6 +69,7 @@ class FileChanges {
   [[nodiscard]] bool take();
 
  private:
+  OneThread thread_;
   UniqueFd inotify_;
   std::map<int, std::vector<std::string>> names_;  ///< folder's watch -> names in it
 };

@@ -254,6 +254,7 @@ Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
 }
 
 std::set<Corun::Loaded> Corun::loaded_by(const std::string& type, const Stage& stage) {
+  thread_.check();
   std::set<Loaded> loaded;
   const std::vector<Xpu>& xpus = session_.platform.xpus;
   if (!stage.emulated && type == "cpu") {
@@ -278,7 +279,13 @@ std::set<Corun::Loaded> Corun::loaded_by(const std::string& type, const Stage& s
   return loaded;
 }
 
+void Corun::rest() {
+  thread_.check();
+  only({}, -1);
+}
+
 bool Corun::beside(const std::string& type, const Stage& stage) {
+  thread_.check();
   const std::set<Loaded> loaded = loaded_by(type, stage);
   const bool good = !loaded.empty() &&
                     std::none_of(loaded.begin(), loaded.end(),
@@ -293,6 +300,7 @@ bool Corun::beside(const std::string& type, const Stage& stage) {
 }
 
 std::string Corun::what(const std::string& type) const {
+  thread_.check();
   std::string all;
   const auto kinds = what_.find(type);
   if (kinds == what_.end()) return all;
@@ -314,6 +322,7 @@ std::string Corun::what(const std::string& type) const {
 }
 
 std::string Corun::failure(const std::string& type) const {
+  thread_.check();
   for (const auto& [one, why] : failed_) {
     const bool core = one.kind == Loaded::Kind::kCore;
     const std::vector<Xpu>& xpus = session_.platform.xpus;
@@ -323,6 +332,7 @@ std::string Corun::failure(const std::string& type) const {
 }
 
 std::string Corun::why_not(const std::string& type) const {
+  thread_.check();
   const auto at = why_not_.find(type);
   return at == why_not_.end() ? "the app has nothing to measure beside it" : at->second;
 }

@@ -58,6 +58,16 @@ HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
   });
 }
 
+void HangWatch::stop() {
+  thread_.check();
+  watchdog_.reset();
+}
+
+const std::string& HangWatch::note() const {
+  thread_.check();
+  return note_;
+}
+
 void HangWatch::hung(const Worker& worker, const Worker::Hung& job) {
   const std::string text = "XNode '" + job.placed->name + "' on " + worker.xpu_name() +
                            " ran past its hang limit of " +

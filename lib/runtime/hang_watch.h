@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 #include "runtime/context.h"
 #include "runtime/role.h"
 #include "runtime/watch.h"
@@ -21,13 +21,14 @@ class HangWatch {
   /// jobs within their WCETs, or if the times of jobs decide which table is next and another process decides.
   HangWatch(const Context& context, const Wiring& wiring, Role& role,
             const std::vector<std::vector<Limits>>& limits);
-  void stop() { watchdog_.reset(); }
+  void stop();
   /// What hung, for people. After `stop`.
-  [[nodiscard]] const std::string& note() const { return note_; }
+  [[nodiscard]] const std::string& note() const;
 
  private:
   void hung(const Worker& worker, const Worker::Hung& job);
 
+  OneThread thread_;
   const Context& context_;
   const Wiring& wiring_;
   Role& role_;

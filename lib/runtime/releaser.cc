@@ -59,6 +59,7 @@ Status Releaser::run(int fifo) {
     if (status) status = stopped;
   });
   thread.join();
+  if (tables_) tables_->give_away();
   return status;
 }
 

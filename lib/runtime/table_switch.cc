@@ -154,6 +154,7 @@ bool TableSwitch::glance(const Machine& machine) {
 }
 
 void TableSwitch::stop_watch() {
+  thread_.check();
   if (conditions_ == nullptr) return;
   const Machine machine = conditions_->now();
   conditions_.reset();
@@ -183,6 +184,7 @@ std::pair<Choice, int> TableSwitch::choose() {
 }
 
 void TableSwitch::at_release(std::int64_t nominal_ns) {
+  thread_.check();
   const int from = scenario_;
   const auto [choice, table] = choose();
   const std::int64_t now = now_ns();
@@ -228,6 +230,7 @@ void TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to, bo
 }
 
 bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
+  thread_.check();
   const std::int64_t since = now_ns();
   const int from = scenario_;
   const auto [first, table] = choose();
@@ -385,10 +388,12 @@ std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machin
 }
 
 bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
+  thread_.check();
   return catches_up_ && now_ns - due_ns > period_ns_ + longest_delay_ns_;
 }
 
 std::vector<std::string> TableSwitch::broken() {
+  thread_.check();
   const Guard lock(mutex_);
   std::vector<std::string> lines;
   const BoardHeader& header = context_.board.header();
@@ -402,6 +407,7 @@ std::vector<std::string> TableSwitch::broken() {
 }
 
 void TableSwitch::report(RunReport& into) {
+  thread_.check();
   if (!context_.session.keys) judge(context_.board.released(), nullptr);
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
     const ScenarioLine& line = context_.board.scenario(s);

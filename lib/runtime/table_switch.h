@@ -40,6 +40,7 @@
 #include <xauto/result.h>
 
 #include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 #include "runtime/claimed_wcets.h"
 #include "runtime/condition_watch.h"
 #include "runtime/context.h"
@@ -81,6 +82,9 @@ class TableSwitch {
   /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
   [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
 
+  /// The next thread that calls is another one; the caller orders the two.
+  void give_away() { thread_.give_away(); }
+
   /// No job runs any more: looks for the last time, and ends the watch. Idempotent.
   void stop_watch();
   /// After the last release has ended, and the watch.
@@ -110,6 +114,7 @@ class TableSwitch {
   void take_past() XAUTO_REQUIRES(mutex_);
   void judge_past() XAUTO_REQUIRES(mutex_);
 
+  OneThread thread_;
   const Context& context_;
   const Wiring& wiring_;
   Ledger& ledger_;
