@@ -19,6 +19,7 @@
 #include "base/rt.h"
 #include "base/short_file.h"
 #include "base/socket.h"
+#include "base/thread.h"
 #include "base/utf8.h"
 
 namespace xauto::runtime {
@@ -172,12 +173,20 @@ ConditionWatch::ConditionWatch(const Tables& tables, const ScenarioOrder& order,
       glance_(std::move(glance)),
       files_(files_of(tables)),
       warned_(files_.size()),
-      quit_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-  read();
-  thread_ = std::thread([this] { watch(now_ns()); });
+      quit_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
+
+Result<std::unique_ptr<ConditionWatch>> ConditionWatch::start(const Tables& tables,
+                                                              const ScenarioOrder& order,
+                                                              const Timing& timing, Glance glance) {
+  std::unique_ptr<ConditionWatch> watch(
+      new ConditionWatch(tables, order, timing, std::move(glance)));
+  watch->read();
+  XAUTO_ASSIGN(watch->thread_, start_thread([w = watch.get()] { w->watch(now_ns()); }));
+  return watch;
 }
 
 ConditionWatch::~ConditionWatch() {
+  if (!thread_.joinable()) return;
   signal_eventfd(quit_.get());
   thread_.join();
 }

@@ -13,10 +13,13 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <thread>
 #include <vector>
+
+#include <xauto/result.h>
 
 #include "base/pi_mutex.h"
 #include "base/thread_safety.h"
@@ -85,15 +88,19 @@ class ConditionWatch {
   /// the scenario in force is not the machine's.
   using Glance = std::function<bool(const Machine& machine)>;
   /// `tables` and `order` outlive it. Without conditions nothing is read. Warns of a file that cannot be read, once
-  /// of each: a profile of root's may name some that others cannot.
-  ConditionWatch(const Tables& tables, const ScenarioOrder& order, const Timing& timing,
-                 Glance glance);
+  /// of each: a profile of root's may name some that others cannot. kUnavailable: there is no thread for it.
+  [[nodiscard]] static Result<std::unique_ptr<ConditionWatch>> start(const Tables& tables,
+                                                                     const ScenarioOrder& order,
+                                                                     const Timing& timing,
+                                                                     Glance glance);
   ~ConditionWatch();
   ConditionWatch(const ConditionWatch&) = delete;
   ConditionWatch& operator=(const ConditionWatch&) = delete;
   [[nodiscard]] Machine now() const;
 
  private:
+  ConditionWatch(const Tables& tables, const ScenarioOrder& order, const Timing& timing,
+                 Glance glance);
   void read();
   void watch(std::int64_t since_ns);
 

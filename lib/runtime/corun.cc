@@ -20,6 +20,7 @@
 #include "base/pi_mutex.h"
 #include "base/process.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "graph/graph.h"
 #include "model/json.h"
 
@@ -65,21 +66,27 @@ class Threads : public Worded {
  public:
   using Step = std::function<Status()>;
   using Maker = std::function<Result<Step>()>;  ///< called on the thread, before the first step
-  Threads(const Maker& make, std::size_t count, const std::vector<int>& cores) : workers_(count) {
-    for (Worker& worker : workers_) {
-      words_.push_back(&worker.words);
-      worker.thread = std::thread([this, make, cores, &worker] {
-        Status ended = run(worker.words, make, cores);
-        if (ended) return;
-        const Guard lock(mutex_);
-        failed_ = std::move(ended);
-        ended_.store(true);
-      });
+  static Result<std::unique_ptr<Load>> begin(const Maker& make, std::size_t count,
+                                             const std::vector<int>& cores) {
+    auto threads = std::make_unique<Threads>(count);
+    for (Worker& worker : threads->workers_) {
+      XAUTO_ASSIGN(worker.thread, start_thread([t = threads.get(), make, cores, &worker] {
+                     Status ended = t->run(worker.words, make, cores);
+                     if (ended) return;
+                     const Guard lock(t->mutex_);
+                     t->failed_ = std::move(ended);
+                     t->ended_.store(true);
+                   }));
     }
+    return std::unique_ptr<Load>(std::move(threads));
+  }
+  explicit Threads(std::size_t count) : workers_(count) {
+    for (Worker& worker : workers_) words_.push_back(&worker.words);
   }
   ~Threads() override {
     want(LoadWords::kEnd);
-    for (Worker& worker : workers_) worker.thread.join();
+    for (Worker& worker : workers_)
+      if (worker.thread.joinable()) worker.thread.join();
   }
 
   Status on(int) override {
@@ -218,15 +225,14 @@ Result<LoadWords*> map_load_words(int fd) {
   return static_cast<LoadWords*>(memory);  // a new memfd is zeros, which is what it begins with
 }
 
-std::unique_ptr<Load> load_of_emulated(const XpuId& xpu, const std::vector<int>& cores) {
+Result<std::unique_ptr<Load>> load_of_emulated(const XpuId& xpu, const std::vector<int>& cores) {
   // Two take turns: between the end of a job and the next one there is a packet each way, and the XPU
   // would be idle.
-  return std::make_unique<Threads>([xpu] { return emulated_step(xpu); }, 2, cores);
+  return Threads::begin([xpu] { return emulated_step(xpu); }, 2, cores);
 }
 
-std::unique_ptr<Load> load_of_core(int core, std::size_t streams) {
-  return std::make_unique<Threads>([streams] { return stream_step(streams); }, 1,
-                                   std::vector<int>{core});
+Result<std::unique_ptr<Load>> load_of_core(int core, std::size_t streams) {
+  return Threads::begin([streams] { return stream_step(streams); }, 1, {core});
 }
 
 Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,

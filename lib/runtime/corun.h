@@ -62,13 +62,13 @@ static_assert(sizeof(LoadWords) == 12 && std::atomic<std::uint32_t>::is_always_l
 [[nodiscard]] Result<LoadWords*> map_load_words(int fd);
 
 /// `cores`: where its threads may run.
-[[nodiscard]] std::unique_ptr<Load> load_of_emulated(const XpuId& xpu,
-                                                     const std::vector<int>& cores);
+[[nodiscard]] Result<std::unique_ptr<Load>> load_of_emulated(const XpuId& xpu,
+                                                             const std::vector<int>& cores);
 /// The app once more, as a process that runs its XNodes on `xpu`.
 [[nodiscard]] Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
                                                             const std::vector<int>& cores);
 /// `streams`: how many cores are loaded like that at once. They share the last level cache.
-[[nodiscard]] std::unique_ptr<Load> load_of_core(int core, std::size_t streams);
+[[nodiscard]] Result<std::unique_ptr<Load>> load_of_core(int core, std::size_t streams);
 
 /// Threads: one, that of the profiler.
 class Corun {

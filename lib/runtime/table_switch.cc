@@ -45,7 +45,19 @@ Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, c
         ErrorCode::kInvalid, "its sources have several periods", "app '" + context.app.name + "'",
         "tables of version 1 are for apps of one rate: profile it again, for an app.json of "
         "version 2, or give `xauto run` one policy");
-  return std::unique_ptr<TableSwitch>(new TableSwitch(context, wiring, ledger));
+  std::unique_ptr<TableSwitch> made(new TableSwitch(context, wiring, ledger));
+  // A job that is too long is found in the same period; what is in memory costs nothing to look at.
+  const std::int64_t glance_ns = std::clamp(made->period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
+  const ScenarioOrder* order = nullptr;
+  {
+    const Guard lock(made->mutex_);
+    order = &made->choice_.order();
+  }
+  XAUTO_ASSIGN(made->conditions_,
+               ConditionWatch::start(
+                   made->tables_, *order, {read_every_ns(made->period_ns_), glance_ns},
+                   [t = made.get()](const Machine& machine) { return t->glance(machine); }));
+  return made;
 }
 
 TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger)
@@ -85,11 +97,6 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
     if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
   }
   put(0, table_);
-  // A job that is too long is found in the same period; what is in memory costs nothing to look at.
-  const std::int64_t glance_ns = std::clamp(period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
-  conditions_ = std::make_unique<ConditionWatch>(
-      tables_, choice_.order(), ConditionWatch::Timing{read_every_ns(period_ns_), glance_ns},
-      [this](const Machine& machine) { return glance(machine); });
 }
 
 /// What jobs took since the last look, and how long those that run have taken so far; what people and

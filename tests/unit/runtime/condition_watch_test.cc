@@ -16,6 +16,8 @@
 #include <gtest/gtest.h>
 #include <stdlib.h>
 
+#include "../no_more_threads.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -226,6 +228,13 @@ class Watched : public testing::Test {
     return watch.now();
   }
 
+  [[nodiscard]] std::unique_ptr<ConditionWatch> start(const ConditionWatch::Timing& timing,
+                                                      ConditionWatch::Glance glance) {
+    auto started = ConditionWatch::start(tables_, order(), timing, std::move(glance));
+    EXPECT_TRUE(started);
+    return std::move(*started);
+  }
+
   std::string folder_;
   Tables tables_;
   std::optional<ScenarioOrder> order_;
@@ -234,30 +243,28 @@ class Watched : public testing::Test {
 
 TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
   // Nothing but inotify can end these waits within the test's time limit.
-  const ConditionWatch watch(tables_, order(), {kNeverNs, kNeverNs},
-                             [](const Machine&) { return false; });
-  EXPECT_TRUE(watch.now().outside.empty());
+  const auto watch = start({kNeverNs, kNeverNs}, [](const Machine&) { return false; });
+  EXPECT_TRUE(watch->now().outside.empty());
   put("100");
-  EXPECT_EQ(next(watch, true).scenario, 0);
+  EXPECT_EQ(next(*watch, true).scenario, 0);
   replace("900");
-  next(watch, false);
+  next(*watch, false);
   put("100");  // into the file that took its place
-  next(watch, true);
+  next(*watch, true);
 }
 
 TEST_F(Watched, AFileOfTheKernelIsReadByTheClock) {
   hide_writes();
-  const ConditionWatch watch(tables_, order(), {1'000'000, kNeverNs},
-                             [](const Machine&) { return false; });
+  const auto watch = start({1'000'000, kNeverNs}, [](const Machine&) { return false; });
   put("100");
-  next(watch, true);
+  next(*watch, true);
 }
 
 TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   hide_writes();
   std::atomic<bool> too_long{false}, told{false};
   std::atomic<int> glances{0};
-  const ConditionWatch watch(tables_, order(), {kNeverNs, 1'000'000}, [&](const Machine& machine) {
+  const auto watch = start({kNeverNs, 1'000'000}, [&](const Machine& machine) {
     ++glances;
     if (!machine.outside.empty()) told = true;
     return too_long.load();
@@ -265,7 +272,7 @@ TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   while (glances < 2) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   put("100");  // the first read is over, and no other is due
   too_long = true;
-  EXPECT_FALSE(next(watch, true).outside.empty());
+  EXPECT_FALSE(next(*watch, true).outside.empty());
   while (!told) std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
@@ -274,7 +281,7 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
   const auto begin = std::chrono::steady_clock::now();
   int writes = 0;
   {
-    const ConditionWatch watch(tables_, order(), {kNeverNs, kNeverNs}, [&](const Machine&) {
+    const auto watch = start({kNeverNs, kNeverNs}, [&](const Machine&) {
       ++glances;
       return false;
     });
@@ -283,6 +290,14 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
   }
   const auto took = std::chrono::steady_clock::now() - begin;
   EXPECT_LE(glances, took / std::chrono::nanoseconds(kHeardApartNs) + 2) << writes << " writes";
+}
+
+TEST_F(Watched, WhereThreadsEndItSaysSo) {
+  const NoMoreThreads none;
+  const auto watch = ConditionWatch::start(tables_, order(), {kNeverNs, kNeverNs},
+                                           [](const Machine&) { return false; });
+  ASSERT_FALSE(watch);
+  EXPECT_EQ(watch.error().what.find("no more threads: "), 0u) << watch.error().what;
 }
 
 TEST_F(Watched, OtherFilesOfTheFolderAreNobodysBusiness) {
