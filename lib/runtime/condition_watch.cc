@@ -88,7 +88,7 @@ std::optional<double> passed_by(const Scenario& scenario, const ReadText& read) 
   return all;
 }
 
-Machine machine_in(const Tables& tables, const ScenarioOrder& order, const ReadText& read) {
+MachineState machine_in(const Tables& tables, const ScenarioOrder& order, const ReadText& read) {
   std::vector<std::optional<double>> passed;  // [scenario]
   for (const Scenario& scenario : tables.scenarios) passed.push_back(passed_by(scenario, read));
   const auto holds = [&](std::size_t s) { return passed[s] && *passed[s] == 0; };
@@ -101,7 +101,7 @@ Machine machine_in(const Tables& tables, const ScenarioOrder& order, const ReadT
     return true;
   });
   if (here >= 0) return {here, {}};
-  Machine machine;
+  MachineState machine;
   machine.scenario = order.most([&](std::size_t s) { return passed[s].has_value(); },
                                 [&](std::size_t s) { return *passed[s]; });
   if (machine.scenario < 0) return machine;
@@ -191,7 +191,7 @@ ConditionWatch::~ConditionWatch() {
   thread_.join();
 }
 
-Machine ConditionWatch::now() const {
+MachineState ConditionWatch::now() const {
   const Guard lock(mutex_);
   return machine_;
 }
@@ -207,7 +207,7 @@ void ConditionWatch::read() {
         "the machine; run with the rights to read it, or take it out of scenarios.json",
         files_[f]);
   }
-  Machine machine =
+  MachineState machine =
       machine_in(tables_, order_, [&](const std::string& path) { return texts.at(path); });
   const Guard lock(mutex_);
   std::swap(machine_, machine);

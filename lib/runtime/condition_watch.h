@@ -45,7 +45,7 @@ using ReadText = std::function<std::optional<std::string>(const std::string& pat
 [[nodiscard]] std::optional<double> passed_by(const Scenario& scenario, const ReadText& read);
 
 /// Which scenario the machine is in.
-struct Machine {
+struct MachineState {
   /// What of `scenario` does not hold.
   struct Outside {
     std::string file;
@@ -58,8 +58,8 @@ struct Machine {
 /// Of the scenarios whose conditions hold, one that covers no other; of several the least. If none holds,
 /// of those that have conditions the one that covers most: the machine is slower than where it was
 /// measured.
-[[nodiscard]] Machine machine_in(const Tables& tables, const ScenarioOrder& order,
-                                 const ReadText& read);
+[[nodiscard]] MachineState machine_in(const Tables& tables, const ScenarioOrder& order,
+                                      const ReadText& read);
 
 /// Tells when somebody writes, replaces or removes one of some files. Sees what programs do, and not
 /// what the kernel does to its own files. Threads: one.
@@ -86,7 +86,7 @@ class ConditionWatch {
   };
   /// Asked every `glance_ns`, and whenever files were read, on the watch's thread: whether jobs show that
   /// the scenario in force is not the machine's.
-  using Glance = std::function<bool(const Machine& machine)>;
+  using Glance = std::function<bool(const MachineState& machine)>;
   /// `tables` and `order` outlive it. Without conditions nothing is read. Warns of a file that cannot be read, once
   /// of each: a profile of root's may name some that others cannot. kUnavailable: there is no thread for it.
   [[nodiscard]] static Result<std::unique_ptr<ConditionWatch>> start(const Tables& tables,
@@ -96,7 +96,7 @@ class ConditionWatch {
   ~ConditionWatch();
   ConditionWatch(const ConditionWatch&) = delete;
   ConditionWatch& operator=(const ConditionWatch&) = delete;
-  [[nodiscard]] Machine now() const;
+  [[nodiscard]] MachineState now() const;
 
  private:
   ConditionWatch(const Tables& tables, const ScenarioOrder& order, const Timing& timing,
@@ -111,7 +111,7 @@ class ConditionWatch {
   std::vector<std::string> files_;  ///< of all conditions, each once
   std::vector<char> warned_;        ///< [file]
   mutable PiMutex mutex_;           ///< of the releases and the watch
-  Machine machine_ XAUTO_GUARDED_BY(mutex_);
+  MachineState machine_ XAUTO_GUARDED_BY(mutex_);
   UniqueFd quit_;       ///< eventfd
   std::thread thread_;  ///< last: it uses the others
 };

@@ -399,7 +399,7 @@ class Run {
   /// Cores that this machine lacks are emulated, for stand-ins. An XNode that computes itself was
   /// not measured on the others to be measured on what is not there.
   Status leave_out_missing_cores() {
-    const xpu::Machine machine = xpu::Machine::here();
+    const xpu::Hardware machine = xpu::Hardware::here();
     for (std::size_t n = 0; n < alternatives_.size(); ++n) {
       Alternatives& all = alternatives_[n];
       const auto either = std::find_if(all.begin(), all.end(), [&](const Alternative& at) {

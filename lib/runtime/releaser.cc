@@ -261,11 +261,11 @@ bool Releaser::wait_drained() {
       [this] { return wiring_.receiver() == nullptr || wiring_.receiver()->idle(); });
 }
 
-std::string Releaser::close(const std::vector<Release>& releases) {
+std::string Releaser::close(const std::vector<ReleaseRecord>& releases) {
   records_.store(false);
   if (recorder_) {
     // At the end, where nobody waits for it.
-    for (const Release& release : releases) {
+    for (const ReleaseRecord& release : releases) {
       const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
       const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
       recorder_->write(releases_topic_, end_ns,

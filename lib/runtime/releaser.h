@@ -38,7 +38,7 @@ class Releaser {
   [[nodiscard]] bool wait_drained();
   /// Closes the recording, with an account of `releases` (of an app of one rate). Nothing is published
   /// any more, or it is not recorded. Returns why it is not whole; empty: it is, or there is none.
-  [[nodiscard]] std::string close(const std::vector<Release>& releases);
+  [[nodiscard]] std::string close(const std::vector<ReleaseRecord>& releases);
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
   /// Of app.json's sources, what did not come as it states, and what was outside of every scenario; a

@@ -56,7 +56,7 @@ Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, c
   XAUTO_ASSIGN(made->conditions_,
                ConditionWatch::start(
                    made->tables_, *order, {read_every_ns(made->period_ns_), glance_ns},
-                   [t = made.get()](const Machine& machine) { return t->glance(machine); }));
+                   [t = made.get()](const MachineState& machine) { return t->glance(machine); }));
   return made;
 }
 
@@ -101,7 +101,7 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
 
 /// What jobs took since the last look, and how long those that run have taken so far; what people and
 /// the machine's files say.
-void TableSwitch::look(const Machine& machine) {
+void TableSwitch::look(const MachineState& machine) {
   const std::int64_t now = now_ns();
   for (const auto& worker : wiring_.workers()) worker->tell_time(now);
   for (std::size_t x = 0; x < node_of_.size(); ++x) {
@@ -147,7 +147,7 @@ void TableSwitch::judge_past() {
   }
 }
 
-bool TableSwitch::glance(const Machine& machine) {
+bool TableSwitch::glance(const MachineState& machine) {
   std::vector<std::string> said;
   bool holds = true;
   {
@@ -163,7 +163,7 @@ bool TableSwitch::glance(const Machine& machine) {
 void TableSwitch::stop_watch() {
   thread_.check();
   if (conditions_ == nullptr) return;
-  const Machine machine = conditions_->now();
+  const MachineState machine = conditions_->now();
   conditions_.reset();
   (void)glance(machine);
   const Guard lock(mutex_);
@@ -177,7 +177,7 @@ std::pair<Choice, int> TableSwitch::choose() {
   std::vector<std::string> said;
   std::pair<Choice, int> chosen;
   {
-    const Machine machine = conditions_->now();
+    const MachineState machine = conditions_->now();
     const Guard lock(mutex_);
     take_past();
     look(machine);
@@ -359,13 +359,13 @@ void TableSwitch::tell(SwitchReport change, const Choice& choice) {
 }
 
 /// Counts what no scenario covers. Returns what is to be said of it.
-std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machine& machine) {
+std::vector<std::string> TableSwitch::outside(const Choice& choice, const MachineState& machine) {
   using Kind = OutsideLog::Kind;
   std::vector<OutsideLog::What> all;
   const auto name = [&](int scenario) -> const std::string& {
     return tables_.scenarios[static_cast<std::size_t>(scenario)].name;
   };
-  for (const Machine::Outside& one : machine.outside)
+  for (const MachineState::Outside& one : machine.outside)
     all.push_back({Kind::kFile, one.file, [&] {
                      return fmt::format(
                          "the machine's clocks and modes are those of no scenario: {}; '{}' is the "

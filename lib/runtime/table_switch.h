@@ -95,15 +95,15 @@ class TableSwitch {
  private:
   TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger);
   /// True: what is in force does not hold. On the watch's thread.
-  [[nodiscard]] bool glance(const Machine& machine);
-  void look(const Machine& machine) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] bool glance(const MachineState& machine);
+  void look(const MachineState& machine) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::pair<Choice, int> choose();
   void judge(std::uint64_t below, SwitchReport* change);
   void show_spanned(const SwitchReport& change, int from, int to);
   void put(std::uint64_t release, int table);
   void put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time);
   void tell(SwitchReport change, const Choice& choice);
-  [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
+  [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const MachineState& machine)
       XAUTO_REQUIRES(mutex_);
   [[nodiscard]] const std::string& name_of(int xnode) const {
     return context_.session.app.xnodes[static_cast<std::size_t>(xnode)].name;

@@ -124,7 +124,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   p.lets_in = options.lets_in;
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
   Answer answer;
-  if (std::optional<Overload> proof = prove_overload(p)) {
+  if (std::optional<OverloadProof> proof = prove_overload(p)) {
     answer.outcome = Outcome::kUnsustainable;
     answer.overload = std::move(*proof);
     return answer;

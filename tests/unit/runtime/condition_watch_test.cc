@@ -58,7 +58,7 @@ class Points {
       tables.serves.push_back({point.loses ? 1 : 0, point.worst_case_us, 1});
     }
   }
-  [[nodiscard]] Machine in(const Files& files) const {
+  [[nodiscard]] MachineState in(const Files& files) const {
     return machine_in(tables, ScenarioOrder(app, tables), files.reader());
   }
   AppSpec app;
@@ -133,7 +133,7 @@ TEST(Conditions, NothingIsLostAtFullClockAndMostOutside) {
     for (const auto& [clock, pct] : std::map<std::string, std::string>{
              {"1000", "100 %"}, {"999", "150 %"}, {"400", "300 %"}, {"200", "500 %"}}) {
       files.text["/clock"] = clock;
-      const Machine machine = points.in(files);
+      const MachineState machine = points.in(files);
       ASSERT_GE(machine.scenario, 0);
       EXPECT_EQ(points.tables.scenarios[static_cast<std::size_t>(machine.scenario)].name, pct)
           << clock << ", " << worst[2];
@@ -156,7 +156,7 @@ TEST(Conditions, WhatIsOutsideIsNamedWithTheLimitThatItPasses) {
                  {200, 20, false, {{"/clock", 600, 1000, {}}, {"/mode", {}, {}, "MAXN"}}}});
   Files files;
   files.text = {{"/clock", "318\n"}, {"/mode", "MAXN\n"}};
-  Machine machine = points.in(files);
+  MachineState machine = points.in(files);
   ASSERT_EQ(machine.outside.size(), 1u);
   EXPECT_EQ(machine.outside[0].file, "/clock");
   EXPECT_EQ(machine.outside[0].words, "/clock is 318, every scenario needs at least 600");
@@ -222,7 +222,7 @@ class Watched : public testing::Test {
     std::filesystem::create_symlink(other + "/cur_freq", file());
   }
   /// What the watch says, once it says something else than `before`.
-  static Machine next(const ConditionWatch& watch, bool outside) {
+  static MachineState next(const ConditionWatch& watch, bool outside) {
     while (watch.now().outside.empty() == outside)
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     return watch.now();
@@ -243,7 +243,7 @@ class Watched : public testing::Test {
 
 TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
   // Nothing but inotify can end these waits within the test's time limit.
-  const auto watch = start({kNeverNs, kNeverNs}, [](const Machine&) { return false; });
+  const auto watch = start({kNeverNs, kNeverNs}, [](const MachineState&) { return false; });
   EXPECT_TRUE(watch->now().outside.empty());
   put("100");
   EXPECT_EQ(next(*watch, true).scenario, 0);
@@ -255,7 +255,7 @@ TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
 
 TEST_F(Watched, AFileOfTheKernelIsReadByTheClock) {
   hide_writes();
-  const auto watch = start({1'000'000, kNeverNs}, [](const Machine&) { return false; });
+  const auto watch = start({1'000'000, kNeverNs}, [](const MachineState&) { return false; });
   put("100");
   next(*watch, true);
 }
@@ -264,7 +264,7 @@ TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   hide_writes();
   std::atomic<bool> too_long{false}, told{false};
   std::atomic<int> glances{0};
-  const auto watch = start({kNeverNs, 1'000'000}, [&](const Machine& machine) {
+  const auto watch = start({kNeverNs, 1'000'000}, [&](const MachineState& machine) {
     ++glances;
     if (!machine.outside.empty()) told = true;
     return too_long.load();
@@ -281,7 +281,7 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
   const auto begin = std::chrono::steady_clock::now();
   int writes = 0;
   {
-    const auto watch = start({kNeverNs, kNeverNs}, [&](const Machine&) {
+    const auto watch = start({kNeverNs, kNeverNs}, [&](const MachineState&) {
       ++glances;
       return false;
     });
@@ -295,7 +295,7 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
 TEST_F(Watched, WhereThreadsEndItSaysSo) {
   const NoMoreThreads none;
   const auto watch = ConditionWatch::start(tables_, order(), {kNeverNs, kNeverNs},
-                                           [](const Machine&) { return false; });
+                                           [](const MachineState&) { return false; });
   ASSERT_FALSE(watch);
   EXPECT_EQ(watch.error().what.find("no more threads: "), 0u) << watch.error().what;
 }
