@@ -46,15 +46,13 @@ Result<std::vector<Presence>> presence_of(const Platform& platform, const Emulat
       return fail(ErrorCode::kInvalid,
                   "'" + name + "' is no XPU of platform '" + platform.name + "', nor a type",
                   "--emulate");
-  std::vector<Presence> presence(xpus.size(), Presence::kEither);
+  std::vector<Presence> presence(xpus.size());
   bool emulates = false;
   for (std::size_t i = 0; i < xpus.size(); ++i) {
     const bool here = machine.has(platform, i);
     const Presence real = here ? Presence::kReal : Presence::kAbsent;
-    if (flags.all) {
-      presence[i] = Presence::kEmulated;
-    } else if (std::any_of(flags.names.begin(), flags.names.end(),
-                           [&](const std::string& name) { return named(xpus[i], name); })) {
+    if (flags.all || std::any_of(flags.names.begin(), flags.names.end(),
+                                 [&](const std::string& name) { return named(xpus[i], name); })) {
       presence[i] = Presence::kEmulated;
     } else if (flags.none) {
       if (!here)
@@ -65,8 +63,8 @@ Result<std::vector<Presence>> presence_of(const Platform& platform, const Emulat
       presence[i] = *xpus[i].emulated ? Presence::kEmulated : real;
     } else if (!flags.names.empty()) {
       presence[i] = real;
-    } else if (!here) {
-      presence[i] = Presence::kEmulated;
+    } else {
+      presence[i] = here ? Presence::kEither : Presence::kEmulated;
     }
     emulates = emulates || presence[i] == Presence::kEmulated;
   }

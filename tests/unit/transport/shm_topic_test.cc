@@ -10,6 +10,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/memory_file.h"
 #include "transport/receiver.h"
 
 #include "../no_more_threads.h"
