@@ -4,10 +4,10 @@
 
 #include <algorithm>
 #include <condition_variable>
-#include <mutex>
 #include <optional>
 #include <utility>
 
+#include "base/mutex.h"
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/exact.h"
@@ -89,7 +89,10 @@ class Team {
 
   AutoResult run() {
     Threads workers;
-    running_ = threads_;
+    {
+      const Lock lock(mutex_);
+      running_ = threads_;
+    }
     const auto run = [this](int t) {
       const Ends ends{*this};
       work(t);
@@ -107,6 +110,7 @@ class Team {
     workers.join();
     // With a budget the proof comes last, and with a budget of its own.
     if (counted() && with_proof_ && !met() && problem_.num_xnodes <= kMostToProve) prove();
+    const Lock lock(mutex_);
     for (const Found& found : found_) {
       if (found.ordered.makespan < kNever) merge(all_, found.ordered, true);
       if (found.best.makespan < kNever) merge(all_, found.best, found.best.ordered);
@@ -128,7 +132,7 @@ class Team {
   struct Ends {
     Team& of;
     ~Ends() {
-      const std::lock_guard lock(of.mutex_);
+      const Lock lock(of.mutex_);
       --of.running_;
       of.changed_.notify_all();
     }
@@ -142,7 +146,7 @@ class Team {
 
   /// By how much a schedule that keeps its order may be longer than one that does not and still be
   /// preferred. Without order the worst case of a large app is many times its latency.
-  [[nodiscard]] Time worth_of_order() const {
+  [[nodiscard]] Time worth_of_order() const XAUTO_REQUIRES(mutex_) {
     constexpr Time kShare = 100;
     if (!large() || !problem_.goal.plain()) return 0;
     // Never longer than the first answer, which has been reported.
@@ -406,7 +410,7 @@ class Team {
   /// With a budget each worker keeps its own best, and the end merges them in their order: which of
   /// two equals came first must not matter.
   void note(int t, const Solution& solution, bool ordered) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     if (counted())
       merge(found_[static_cast<std::size_t>(t)], solution, ordered);
     else
@@ -434,7 +438,7 @@ class Team {
 
   /// Workers that fell behind go on from the team's best.
   void take_over(Solution& own, Solution& own_ordered, Solution& own_mixed) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     if (!all_.best.ordered) {
       Solution& mine = all_.best.waits_for.empty() ? own : own_mixed;
       if (all_.best.makespan < mine.makespan) mine = all_.best;
@@ -458,7 +462,7 @@ class Team {
   }
 
   void report_until_done() {
-    std::unique_lock lock(mutex_);
+    Lock lock(mutex_);
     while (running_ > 0) {
       changed_.wait_for(lock, kReportEvery);
       if (!options_.on_progress || running_ == 0) continue;
@@ -478,11 +482,12 @@ class Team {
   const int threads_;
   const SteadyTime began_, deadline_;
 
-  std::mutex mutex_;  // all_, found_, running_
-  std::condition_variable changed_;
-  Found all_;                 // the team's best
-  std::vector<Found> found_;  // with a budget: each worker's, merged at the end
-  int running_ = 0;
+  Mutex mutex_;
+  std::condition_variable_any changed_;
+  Found all_ XAUTO_GUARDED_BY(mutex_);  // the team's best
+  std::vector<Found> found_
+      XAUTO_GUARDED_BY(mutex_);  // with a budget: each worker's, merged at the end
+  int running_ XAUTO_GUARDED_BY(mutex_) = 0;
   std::atomic<Time> incumbent_{kNever}, ordered_best_{kNever}, bound_{0};
   std::atomic<std::int64_t> evaluations_{0};
   std::atomic<bool> done_{false};

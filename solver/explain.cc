@@ -60,7 +60,7 @@ Result<Explanation> explain(const AppSpec& app, const Platform& platform, const 
   for (int i = 0; i < problem.num_xnodes; ++i)
     if (run.finish[at(i)] > run.finish[at(current)]) current = i;
   while (current >= 0) {
-    Link link;
+    ChainLink link;
     link.xnode = current;
     link.start_us = run.start[at(current)];
     link.finish_us = run.finish[at(current)];
@@ -84,7 +84,7 @@ Result<Explanation> explain(const AppSpec& app, const Platform& platform, const 
   std::reverse(answer.chain.begin(), answer.chain.end());
 
   std::map<int, Time> spent;
-  for (const Link& link : answer.chain)
+  for (const ChainLink& link : answer.chain)
     spent[policy.placements[at(link.xnode)].xpu] += link.finish_us - link.ready_us;
   for (const auto& [xpu, time] : spent) {
     if (time <= answer.limiting_us) continue;
@@ -153,7 +153,7 @@ Result<std::vector<WhatIf>> what_if(const AppSpec& app, const Platform& platform
       ++both;
     }
     if (both == 0) continue;
-    for (const Link& link : why.chain) {
+    for (const ChainLink& link : why.chain) {
       const XNodeSpec& xnode = app.xnodes[at(link.xnode)];
       if (xnode.wcet_on(type)) continue;
       if (stopped()) return answers;

@@ -11,7 +11,7 @@
 namespace xauto::solver {
 
 /// One link of the chain, from time 0 to the end, without a gap.
-struct Link {
+struct ChainLink {
   int xnode = -1;
   Time ready_us = 0, start_us = 0, finish_us = 0;
   Time wcet_us = 0;
@@ -20,7 +20,7 @@ struct Link {
 };
 
 struct Explanation {
-  std::vector<Link> chain;
+  std::vector<ChainLink> chain;
   int limiting_xpu = -1;  ///< on which the chain spends (running or waiting) the most time
   Time limiting_us = 0;   ///< that time
   Time running_us = 0;  ///< of the chain's XNodes at their WCET; the rest is waiting and preemption

@@ -28,7 +28,7 @@ std::string text(double value) {
 }
 
 /// A part of the graph while it grows: what hangs on its front and its back.
-struct Part {
+struct Subgraph {
   std::vector<int> entries, exits, all;
 };
 
@@ -46,21 +46,21 @@ class Shape {
   [[nodiscard]] const std::vector<std::pair<int, int>>& edges() const { return edges_; }
 
  private:
-  Part expand(int depth) {
+  Subgraph expand(int depth) {
     if (count_ > o_.nodes) return {};  // rejected already
     if (depth >= max_depth_ || (depth > 0 && random_.unit() <= o_.terminal)) return single();
-    Part whole;
-    Part fork, join;
+    Subgraph whole;
+    Subgraph fork, join;
     if (o_.fork_join) fork = single();
     const auto choices =
         static_cast<std::uint64_t>(o_.branch_max) - static_cast<std::uint64_t>(o_.branch_min) + 1;
     const int branches = o_.branch_min + static_cast<int>(random_.below(choices));
-    std::vector<Part> parts;
+    std::vector<Subgraph> parts;
     for (int b = 0; b < branches; ++b) parts.push_back(expand(depth + 1));
     if (o_.fork_join) join = single();
     if (count_ > o_.nodes) return {};
     connect_siblings(parts);
-    for (const Part& part : parts) {
+    for (const Subgraph& part : parts) {
       if (o_.fork_join) {
         connect(fork.exits, part.entries);
         connect(part.exits, join.entries);
@@ -79,7 +79,7 @@ class Shape {
     return whole;
   }
 
-  Part single() {
+  Subgraph single() {
     const int i = count_++;
     return {{i}, {i}, {i}};
   }
@@ -89,7 +89,7 @@ class Shape {
       for (const int v : to) edges_.emplace_back(u, v);
   }
 
-  void connect_siblings(const std::vector<Part>& parts) {
+  void connect_siblings(const std::vector<Subgraph>& parts) {
     std::vector<std::size_t> order(parts.size());
     std::iota(order.begin(), order.end(), std::size_t{0});
     if (o_.sibling_direction == "shuffled")
@@ -98,7 +98,7 @@ class Shape {
     for (std::size_t a = 0; a < order.size(); ++a)
       for (std::size_t b = a + 1; b < order.size(); ++b) {
         if (random_.unit() > o_.sibling_edge) continue;
-        const Part &from = parts[order[a]], &to = parts[order[b]];
+        const Subgraph &from = parts[order[a]], &to = parts[order[b]];
         if (o_.sibling_direction == "node")
           edges_.emplace_back(from.all[random_.below(from.all.size())],
                               to.all[random_.below(to.all.size())]);

@@ -40,7 +40,7 @@ constexpr std::int64_t kTableMovesPerLook = 64, kMovesPerHeating = 16'384;
 constexpr std::uint64_t kOneInMoves = 3;
 constexpr int kNearby = 4;
 
-struct Plan {
+struct TableCandidate {
   std::vector<int> xpu, sequence;  ///< of what its loss leaves
   std::vector<double> regret;      ///< [scenario]
   int loss = 0;                    ///< index into TablesSearch::lossy_
@@ -113,7 +113,7 @@ class TablesSearch {
       lossy_of_.push_back(lossy);
       bound_.push_back(std::max<Time>(1, policy.lower_bound_us));
       const Platform left = platform_under(platform_, scenarios_[s]);
-      Plan candidate;
+      TableCandidate candidate;
       candidate.loss = lossy;
       std::vector<Time> starts;
       for (const Placement& p : policy.placements) {
@@ -124,7 +124,7 @@ class TablesSearch {
       solved_.push_back(std::move(candidate));
       run_.tell(bound_.size(), kCannotServe);
     }
-    for (Plan& candidate : solved_) add(std::move(candidate));
+    for (TableCandidate& candidate : solved_) add(std::move(candidate));
     return {};
   }
 
@@ -166,7 +166,7 @@ class TablesSearch {
   }
 
   /// On XPUs that are there under the scenario.
-  [[nodiscard]] bool runs(const Plan& plan, std::size_t s) const {
+  [[nodiscard]] bool runs(const TableCandidate& plan, std::size_t s) const {
     const Problem& problem = lossy_[at(plan.loss)].problems[s];
     for (std::size_t i = 0; i < plan.xpu.size(); ++i)
       if (problem.wcet_on(static_cast<int>(i), plan.xpu[i]) == kCannotRun) return false;
@@ -175,7 +175,7 @@ class TablesSearch {
 
   /// With its regrets; what is there already is not added again. A scenario is served by plans of its
   /// own loss alone: with more it would lose without need, and less was not found to suffice.
-  void add(Plan candidate) {
+  void add(TableCandidate candidate) {
     for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       if (candidate.loss != lossy_of_[s] || !runs(candidate, s)) {
         candidate.regret.push_back(kCannotServe);
@@ -190,19 +190,19 @@ class TablesSearch {
     if (known_.insert({candidate.loss, candidate.xpu, candidate.sequence}).second)
       candidates_.push_back(std::move(candidate));
   }
-  [[nodiscard]] const Problem& problem(const Plan& plan, std::size_t s) const {
+  [[nodiscard]] const Problem& problem(const TableCandidate& plan, std::size_t s) const {
     return lossy_[at(plan.loss)].problems[s];
   }
 
   [[nodiscard]] std::vector<std::vector<double>> regrets() const {
     std::vector<std::vector<double>> regret;
-    for (const Plan& c : candidates_) regret.push_back(c.regret);
+    for (const TableCandidate& c : candidates_) regret.push_back(c.regret);
     return regret;
   }
   [[nodiscard]] TableChoice choose() const { return run_.choose(regrets()); }
   [[nodiscard]] TableChoice fewer_instances(const TableChoice& choice) const {
     std::vector<std::vector<int>> xpu;  // [candidate][XNode of the app]
-    for (const Plan& c : candidates_) {
+    for (const TableCandidate& c : candidates_) {
       const std::vector<int>& of = lossy_[at(c.loss)].kept;
       std::vector<int>& all = xpu.emplace_back(app_.xnodes.size(), -1);
       for (std::size_t i = 0; i < of.size(); ++i) all[at(of[i])] = c.xpu[i];
@@ -217,7 +217,7 @@ class TablesSearch {
       std::vector<int> group;
       int from;
       std::uint64_t seed;
-      Plan result;
+      TableCandidate result;
     };
     std::vector<Task> tasks;
     for (const int c : choice.chosen) {
@@ -246,8 +246,8 @@ class TablesSearch {
   }
 
   /// Anneals a candidate for some scenarios at once: the largest of makespan / bound.
-  [[nodiscard]] Plan anneal_for(const std::vector<int>& group, int from, std::uint64_t seed,
-                                double seconds) const {
+  [[nodiscard]] TableCandidate anneal_for(const std::vector<int>& group, int from,
+                                          std::uint64_t seed, double seconds) const {
     const auto deadline = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
     Random random(seed);
     std::vector<OrderedEvaluator> evaluators;
@@ -268,7 +268,8 @@ class TablesSearch {
     const std::size_t n = candidates_[at(from)].xpu.size();
     std::size_t limiting = worst();
     double current = ratio(limiting), best = current;
-    Plan found{evaluators[0].xpu(), evaluators[0].sequence(), {}, candidates_[at(from)].loss};
+    TableCandidate found{
+        evaluators[0].xpu(), evaluators[0].sequence(), {}, candidates_[at(from)].loss};
     std::vector<int> chain;
     evaluators[limiting].critical_chain(chain);
     const std::int64_t most_moves =
@@ -350,7 +351,7 @@ class TablesSearch {
     std::vector<int> number(candidates_.size(), -1);
     for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       const std::size_t c = at(choice.serves[s]);
-      const Plan& candidate = candidates_[c];
+      const TableCandidate& candidate = candidates_[c];
       if (number[c] < 0) {
         number[c] = static_cast<int>(tables.tables.size());
         tables.tables.push_back(table_of(candidate, number[c], s));
@@ -365,7 +366,7 @@ class TablesSearch {
   }
 
   /// Of the whole app; the order is that of any scenario that it serves.
-  [[nodiscard]] Table table_of(const Plan& plan, int number, std::size_t serves) const {
+  [[nodiscard]] Table table_of(const TableCandidate& plan, int number, std::size_t serves) const {
     const Lossy& lossy = lossy_[at(plan.loss)];
     const Solution solution{plan.xpu, plan.sequence, 0, true, {}};
     const std::vector<std::int64_t> priority = to_decision(solution).priority;
@@ -389,7 +390,7 @@ class TablesSearch {
       for (std::size_t t = 0; t < scenarios_.size(); ++t) {
         if (s == t) continue;
         Change change{static_cast<int>(s), static_cast<int>(t), {}, {}};
-        const Plan& plan = candidates_[at(choice.serves[s])];
+        const TableCandidate& plan = candidates_[at(choice.serves[s])];
         if (runs(plan, t)) {
           Problem both = problem(plan, s);
           for (std::size_t w = 0; w < both.wcet_flat.size(); ++w)
@@ -412,8 +413,8 @@ class TablesSearch {
   std::vector<Lossy> lossy_;   ///< the first without any loss
   std::vector<int> lossy_of_;  ///< [scenario] index into them
   std::vector<Time> bound_;    ///< [scenario] of what its loss leaves
-  std::vector<Plan> solved_;
-  std::vector<Plan> candidates_;
+  std::vector<TableCandidate> solved_;
+  std::vector<TableCandidate> candidates_;
   std::set<std::tuple<int, std::vector<int>, std::vector<int>>> known_;
 };
 

@@ -6,12 +6,12 @@
 #include <atomic>
 #include <chrono>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "model/loss.h"
 #include "solver/choose_tables.h"
 #include "solver/tables.h"
+#include "solver/threads.h"
 #include "solver/until.h"
 
 namespace xauto::solver {
@@ -72,17 +72,18 @@ class TablesRun {
                     std::to_string(options_.regret),
                 app, "more tables, or more time");
   }
-  /// work(k) for all k below `tasks`, on as many threads as were asked for.
+  /// work(k) for all k below `tasks`, on as many threads as were asked for, or as there are.
   template <class Work>
   void on_threads(std::size_t tasks, Work work) const {
     std::atomic<std::size_t> next{0};
     const auto loop = [&] {
       for (std::size_t k; (k = next.fetch_add(1)) < tasks;) work(k);
     };
-    std::vector<std::thread> threads;
-    for (int t = 1; t < options_.threads; ++t) threads.emplace_back(loop);
+    Threads threads;
+    for (int t = 1; t < options_.threads && threads.start(loop); ++t) {
+    }
     loop();
-    for (std::thread& thread : threads) thread.join();
+    threads.join();
   }
 
  private:

@@ -4,11 +4,11 @@
 #pragma once
 
 #include <exception>
-#include <mutex>
 #include <thread>
 #include <utility>
 #include <vector>
 
+#include "base/mutex.h"
 #include "base/thread.h"
 
 namespace xauto::solver {
@@ -29,7 +29,7 @@ class Threads {
       try {
         run();
       } catch (...) {
-        const std::lock_guard<std::mutex> lock(mutex_);
+        const Lock lock(mutex_);
         thrown_ = std::current_exception();
       }
     });
@@ -38,7 +38,12 @@ class Threads {
   }
   void join() {
     wait();
-    if (thrown_) std::rethrow_exception(std::exchange(thrown_, nullptr));
+    std::exception_ptr thrown;
+    {
+      const Lock lock(mutex_);
+      thrown = std::exchange(thrown_, nullptr);
+    }
+    if (thrown) std::rethrow_exception(thrown);
   }
 
  private:
@@ -48,8 +53,8 @@ class Threads {
   }
 
   std::vector<std::thread> threads_;
-  std::mutex mutex_;
-  std::exception_ptr thrown_;
+  Mutex mutex_;
+  std::exception_ptr thrown_ XAUTO_GUARDED_BY(mutex_);
 };
 
 }  // namespace xauto::solver

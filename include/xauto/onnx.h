@@ -43,7 +43,7 @@ struct Model {
 
 namespace detail {
 
-struct Release {
+struct Deleter {
   const OrtApi* api = nullptr;
   void operator()(OrtEnv* object) const { api->ReleaseEnv(object); }
   void operator()(OrtSessionOptions* object) const { api->ReleaseSessionOptions(object); }
@@ -56,7 +56,7 @@ struct Release {
   }
 };
 template <class T>
-using Handle = std::unique_ptr<T, Release>;
+using Handle = std::unique_ptr<T, Deleter>;
 
 /// ONNX's element types in the order of ElementType.
 inline constexpr ONNXTensorElementDataType kElements[] = {
@@ -172,7 +172,7 @@ class Session {
   }
   template <class T>
   [[nodiscard]] Handle<T> owned(T* object) const {
-    return Handle<T>(object, detail::Release{api_});
+    return Handle<T>(object, detail::Deleter{api_});
   }
 
   [[nodiscard]] Status load() {

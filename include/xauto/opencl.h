@@ -44,7 +44,7 @@ inline Status checked(cl_int error, const std::string& call) {
               "OpenCL error " + std::to_string(error), call);
 }
 
-struct Release {
+struct Deleter {
   void operator()(cl_context object) const { clReleaseContext(object); }
   void operator()(cl_command_queue object) const { clReleaseCommandQueue(object); }
   void operator()(cl_program object) const { clReleaseProgram(object); }
@@ -52,7 +52,7 @@ struct Release {
   void operator()(cl_mem object) const { clReleaseMemObject(object); }
 };
 template <class T>
-using Handle = std::unique_ptr<std::remove_pointer_t<T>, Release>;
+using Handle = std::unique_ptr<std::remove_pointer_t<T>, Deleter>;
 
 }  // namespace detail
 

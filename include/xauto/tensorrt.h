@@ -49,7 +49,8 @@ class Logger final : public nvinfer1::ILogger {
   }
 
  private:
-  mutable std::mutex mutex_;  ///< TensorRT has threads of its own
+  // TensorRT has threads of its own. std::mutex, since lib/base/mutex.h is not installed.
+  mutable std::mutex mutex_;
   char text_[1024] = {};
 };
 

@@ -84,7 +84,7 @@ Result<runtime::Session> RunOptions::Data::session() const {
   if (real && emulate) return tl::unexpected<Error>(at("real", "contradicts RunOptions::emulate"));
   if (emulate) flags.names = *emulate;
   flags.all = emulate && emulate->empty();
-  const xpu::Machine machine = xpu::Machine::here();
+  const xpu::Hardware machine = xpu::Hardware::here();
   XAUTO_ASSIGN(session.presence, xpu::presence_of(session.platform, flags, &session.app, machine));
   const auto how = runtime::scheduling_from(scheduling);
   if (!how)

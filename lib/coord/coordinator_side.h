@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/thread_safety.h"
 #include "coord/arbiter.h"
 #include "coord/shm_layout.h"
 #include "coord/worker_side.h"
@@ -36,12 +37,19 @@ class Referee {
           int max_rounds = kMaxRounds)
       : shm_(shm), arbiter_(discipline, order, levels), max_rounds_(max_rounds) {}
 
+  /// The next thread that calls is another one; the caller orders the two.
+  void give_away() { thread_.give_away(); }
+
   /// Order constraints are not kept. Before the first job.
-  void forget_order() { arbiter_.forget_order(); }
+  void forget_order() {
+    thread_.check();
+    arbiter_.forget_order();
+  }
 
   /// A worker has this slot from now on. The generation goes on where the slot's last user left it,
   /// so that an old owner word never matches.
   void join(int slot) {
+    thread_.check();
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
     SlotMemory& memory = shm_.slots[slot];
     const std::uint32_t generation = request_generation(A::load(memory.worker.request));
@@ -61,6 +69,7 @@ class Referee {
 
   /// The worker of this slot is dead: whatever its words say is void.
   void leave(int slot, const std::vector<std::uint32_t>& xnodes, Wakes& wakes) {
+    thread_.check();
     // First of all: a FINISH that is just handing over to the dead must not succeed.
     take_over(wakes);
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
@@ -77,6 +86,7 @@ class Referee {
 
   /// One look at the shared words: feeds the arbiter what changed and carries out what it decides.
   void look(Wakes& wakes) {
+    thread_.check();
     if (!fat_) {
       if ((A::load(shm_.header->owner) & kFat) == 0) return;
       take_over(wakes);
@@ -87,6 +97,7 @@ class Referee {
   /// A predecessor has died: everything is in the words. The slots are as good as joined; those
   /// whose workers don't come back are to `leave`.
   void rebuild(Wakes& wakes) {
+    thread_.check();
     const std::uint64_t owner = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
     arbiter_.begin_batch();
@@ -375,6 +386,7 @@ class Referee {
     }
   }
 
+  OneThread thread_;
   Shm shm_;
   Arbiter arbiter_;
   int max_rounds_;

@@ -95,6 +95,7 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
       return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
   }
   if (filled) s.take_over_from_predecessor();
+  s.referee_->give_away();  // the thread that runs it may be another one
   return server;
 }
 

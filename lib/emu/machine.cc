@@ -549,7 +549,7 @@ void Machine::take_steps(std::vector<Event>& events) {
     const auto found = percents.find(type);
     return found == percents.end() ? otherwise : found->second;
   };
-  for (Part& part : parts_) {
+  for (ScriptedDevice& part : parts_) {
     part.speed_pct = said(state.speed_pct, part.type, 100);
     part.contention_pct = said(state.contention_pct, part.type, 0);
     part.cores = std::count_if(part.xpus.begin(), part.xpus.end(),
@@ -568,7 +568,7 @@ void Machine::tune(std::vector<Event>& events, bool advance) {
     for (std::size_t d = 0; d < devices_.size(); ++d)
       if (parts_[d].contention_pct > 0) busy += std::min(parts_[d].cores, devices_[d]->load());
     for (std::size_t d = 0; d < devices_.size(); ++d) {
-      const Part& part = parts_[d];
+      const ScriptedDevice& part = parts_[d];
       const Nanos others = part.contention_pct > 0 ? std::max<Nanos>(0, busy - 1) : 0;
       const Nanos rate =
           std::max<Nanos>(1, kUnits * part.speed_pct / (100 + part.contention_pct * others));

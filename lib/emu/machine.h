@@ -135,7 +135,7 @@ class Machine {
   void tune(std::vector<Event>& events, bool advance = true);
 
   /// What the script says of a device.
-  struct Part {
+  struct ScriptedDevice {
     std::string type;
     std::vector<std::string> xpus;
     Nanos speed_pct = 100, contention_pct = 0;
@@ -143,7 +143,7 @@ class Machine {
   };
 
   std::vector<std::unique_ptr<Device>> devices_;
-  std::vector<Part> parts_;  ///< [device]
+  std::vector<ScriptedDevice> parts_;  ///< [device]
   std::unique_ptr<ScriptPlay> script_;
   Nanos script_begin_ = -1;       ///< the first submission; -1: there has been none
   std::size_t steps_ = SIZE_MAX;  ///< of the script, taken; SIZE_MAX: it has not begun

@@ -109,6 +109,7 @@ Inlets::Inlets(const AppSpecErased& app, Inlet::Keep keep) {
 }
 
 Inlet& Inlets::add(std::size_t source, const std::string& topic) {
+  thread_.check();
   added_.push_back(std::make_unique<Inlet>(topic, 0));
   added_.back()->open(bell_, Inlet::Keep::kAll);
   inlets_.push_back({source, added_.back().get(), topic, 0});
@@ -120,6 +121,7 @@ Inlets::~Inlets() {
 }
 
 std::optional<Inlets::Pushed> Inlets::take() {
+  thread_.check();
   const Entry* oldest = nullptr;
   std::int64_t at_ns = INT64_MAX;
   for (const Entry& entry : inlets_)
@@ -134,11 +136,13 @@ std::optional<Inlets::Pushed> Inlets::take() {
 }
 
 void Inlets::wait(std::uint32_t seen, std::int64_t until_ns) {
+  thread_.check();
   if (const std::int64_t left = until_ns - now_ns(); left > 0)
     futex_wait_local(bell_, seen, std::min(left, kLookNs));
 }
 
 std::vector<std::string> Inlets::close() {
+  thread_.check();
   std::vector<std::string> notes;
   for (const Entry& entry : inlets_) {
     const std::size_t left = entry.inlet->close();

@@ -14,6 +14,7 @@
 #include <xauto/source.h>
 
 #include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 
 namespace xauto::detail {
 
@@ -103,6 +104,7 @@ class Inlets {
     std::string topic;
     std::int64_t distance_ns;
   };
+  OneThread thread_;
   std::vector<Entry> inlets_;
   std::vector<std::unique_ptr<Inlet>> added_;
   std::atomic<std::uint32_t> bell_{0};

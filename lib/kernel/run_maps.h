@@ -3,7 +3,7 @@
 // pinned under /sys/fs/bpf/xauto/RUN/ for the scheduler, the tracer and bpftool, gone with the
 // tool.
 //
-// Threads: one, except where said.
+// Threads: one at a time.
 #pragma once
 
 #include <cstdint>

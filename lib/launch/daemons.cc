@@ -72,6 +72,7 @@ void Daemons::Daemon::hand_over(std::initializer_list<const char*> flags) {
 }
 
 Status Daemons::start_emulator(const runtime::Session& session, const EmulationScript& script) {
+  thread_.check();
   if (!session.emulates()) return {};
   Platform emulated{session.platform.name, {}};
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
@@ -103,6 +104,7 @@ Status Daemons::start_emulator(const runtime::Session& session, const EmulationS
 }
 
 Status Daemons::start_coordinators(const runtime::Session& session, int session_fd) {
+  thread_.check();
   for (const auto& [xpu, address] : session.coordinators) {
     const std::string name = "xauto-coordinator of " + xpu;
     Daemon daemon;
@@ -155,6 +157,7 @@ bool Daemons::restart(Daemon& daemon, const Exit& exit) {
 }
 
 std::vector<std::string> Daemons::who_died() const {
+  thread_.check();
   std::vector<std::string> lines;
   for (const Daemon& daemon : daemons_) {
     if (daemon.deaths > 0)
@@ -166,11 +169,13 @@ std::vector<std::string> Daemons::who_died() const {
 }
 
 void Daemons::add_to(std::vector<pollfd>& fds) const {
+  thread_.check();
   for (const Daemon& daemon : daemons_)
     if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});
 }
 
 bool Daemons::look_after(std::int64_t now) {
+  thread_.check();
   bool emulator_goes_on = true;
   const bool look = now >= next_look_ns_;
   if (look) next_look_ns_ = now + kLookEveryNs;
@@ -198,6 +203,7 @@ bool Daemons::look_after(std::int64_t now) {
 }
 
 void Daemons::stop(int grace_ms) {
+  thread_.check();
   for (Daemon& daemon : daemons_) {
     const Exit exit = daemon.child.stop(grace_ms);
     if (daemon.coordinator) coordinators_cpu_us_ += exit.cpu_us;

@@ -15,6 +15,7 @@
 #include <xauto/result.h>
 
 #include "base/process.h"
+#include "base/thread_safety.h"
 #include "launch/pulse.h"
 #include "model/emulation_script.h"
 #include "session/session.h"
@@ -80,6 +81,7 @@ class Daemons {
   };
   [[nodiscard]] bool restart(Daemon& daemon, const Exit& exit);
 
+  OneThread thread_;
   const std::string base_, bin_;
   std::vector<std::string>& notes_;
   UniqueFd platform_, script_;

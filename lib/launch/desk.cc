@@ -15,11 +15,13 @@ Result<std::unique_ptr<Desk>> Desk::open(const std::string& address, int board_f
 }
 
 void Desk::add_to(std::vector<pollfd>& fds) const {
+  thread_.check();
   fds.push_back({listener_.get(), POLLIN, 0});
   for (const Client& client : clients_) fds.push_back({client.socket.get(), POLLIN, 0});
 }
 
 void Desk::serve(std::int64_t now_ns) {
+  thread_.check();
   while (wait_readable(listener_.get(), 0)) {
     auto peer = accept_own(listener_.get());
     if (!peer && peer.error().code != ErrorCode::kPermission) break;

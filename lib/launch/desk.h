@@ -14,6 +14,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "processes/board.h"
 
@@ -40,6 +41,7 @@ class Desk {
     UniqueFd socket;
     std::int64_t since_ns = 0;
   };
+  OneThread thread_;
   UniqueFd listener_;
   const int board_fd_;
   std::shared_ptr<runtime::Board> board_;  ///< null: the app has not made it

@@ -85,7 +85,13 @@ Keeper::~Keeper() {
   stop();
 }
 
+const std::vector<std::string>& Keeper::who_died() const {
+  owner_.check();
+  return died_;
+}
+
 const std::vector<std::string>& Keeper::stop() {
+  owner_.check();
   if (thread_.joinable()) {
     signal_eventfd(quit_.get());
     thread_.join();

@@ -14,6 +14,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "launch/daemons.h"
 #include "session/session.h"
@@ -41,12 +42,13 @@ class Keeper {
   /// Stops them, and returns what happened to them, for people. Idempotent.
   const std::vector<std::string>& stop();
   /// After `stop`: Daemons::who_died().
-  [[nodiscard]] const std::vector<std::string>& who_died() const { return died_; }
+  [[nodiscard]] const std::vector<std::string>& who_died() const;
 
  private:
   Keeper() = default;
   void keep(runtime::Session& session, const std::string& bin, std::promise<Status> started);
 
+  OneThread owner_;
   std::function<void()> lost_;
   std::string emulator_;
   UniqueFd quit_;  ///< eventfd

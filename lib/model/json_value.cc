@@ -103,8 +103,8 @@ class Builder : public nlohmann::json_sax<ordered_json> {
 
 }  // namespace
 
-Json::Json(std::initializer_list<Member> members) : kind_(Kind::kObject) {
-  for (const Member& member : members) (*this)[member.key] = member.value;
+Json::Json(std::initializer_list<NamedValue> members) : kind_(Kind::kObject) {
+  for (const NamedValue& member : members) (*this)[member.key] = member.value;
 }
 
 Json Json::array(std::initializer_list<Json> elements) {

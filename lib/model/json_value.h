@@ -23,7 +23,7 @@ namespace xauto {
 
 class Json {
  public:
-  struct Member;
+  struct NamedValue;
 
   Json() = default;  ///< null
   template <class T>
@@ -47,7 +47,7 @@ class Json {
   Json(const std::vector<T>& elements) : kind_(Kind::kArray) {
     for (const T& element : elements) elements_.emplace_back(element);
   }
-  Json(std::initializer_list<Member> members);  ///< an object
+  Json(std::initializer_list<NamedValue> members);  ///< an object
   [[nodiscard]] static Json array(std::initializer_list<Json> elements = {});
   [[nodiscard]] static Json object();
 
@@ -103,7 +103,7 @@ class Json {
   std::vector<Json> elements_;
 };
 
-struct Json::Member {
+struct Json::NamedValue {
   const char* key;
   Json value;
 };

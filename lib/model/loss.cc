@@ -195,12 +195,12 @@ class OnTheWay {
   }
 
  private:
-  struct Link {
+  struct EdgeEnd {
     int xnode;
     bool sample;
   };
   [[nodiscard]] std::vector<char> reach(std::vector<int> todo,
-                                        const std::vector<std::vector<Link>>& links,
+                                        const std::vector<std::vector<EdgeEnd>>& links,
                                         int last) const {
     std::vector<char> seen(links.size(), 0);
     for (const int x : todo) seen[at(x)] = 1;
@@ -216,7 +216,7 @@ class OnTheWay {
   }
 
   std::vector<int> component_;  ///< [xnode]
-  std::vector<std::vector<Link>> onward_, back_;
+  std::vector<std::vector<EdgeEnd>> onward_, back_;
 };
 
 }  // namespace

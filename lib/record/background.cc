@@ -7,6 +7,7 @@
 #include "base/futex.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "record/xauto_msgs.h"
 
 namespace xauto::record {
@@ -14,7 +15,14 @@ namespace xauto::record {
 BackgroundRecorder::BackgroundRecorder(Recorder recorder, std::size_t queue_bytes)
     : queue_bytes_(queue_bytes), recorder_(std::move(recorder)) {
   recorder_.give_away();
-  thread_ = std::thread([this] { run(); });
+}
+
+Result<std::unique_ptr<BackgroundRecorder>> BackgroundRecorder::start(Recorder recorder,
+                                                                      std::size_t queue_bytes) {
+  std::unique_ptr<BackgroundRecorder> background(
+      new BackgroundRecorder(std::move(recorder), queue_bytes));
+  XAUTO_ASSIGN(background->thread_, start_thread([b = background.get()] { b->run(); }));
+  return background;
 }
 
 BackgroundRecorder::~BackgroundRecorder() {

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <optional>
 #include <string>
 #include <thread>
@@ -23,8 +24,9 @@ class BackgroundRecorder {
   /// So much may wait to be written: two seconds of three cameras at 30 Hz and 1.4 MB.
   static constexpr std::size_t kQueueBytes = 256u << 20;
 
-  /// With its topics.
-  explicit BackgroundRecorder(Recorder recorder, std::size_t queue_bytes = kQueueBytes);
+  /// `recorder`: with its topics. kUnavailable: there is no thread for it.
+  [[nodiscard]] static Result<std::unique_ptr<BackgroundRecorder>> start(
+      Recorder recorder, std::size_t queue_bytes = kQueueBytes);
   ~BackgroundRecorder();
   BackgroundRecorder(const BackgroundRecorder&) = delete;
   BackgroundRecorder& operator=(const BackgroundRecorder&) = delete;
@@ -41,6 +43,7 @@ class BackgroundRecorder {
   [[nodiscard]] Status close();
 
  private:
+  BackgroundRecorder(Recorder recorder, std::size_t queue_bytes);
   struct Item {
     std::size_t topic = 0;
     std::int64_t timestamp_ns = 0;

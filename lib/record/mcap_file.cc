@@ -38,6 +38,7 @@ Status File::read(std::uint64_t offset, std::span<std::byte> into) const {
 }
 
 Result<std::span<const std::byte>> File::look(std::uint64_t offset, std::size_t bytes) {
+  thread_.check();
   const std::uint64_t left = size_ - std::min(offset, size_);
   bytes = static_cast<std::size_t>(std::min<std::uint64_t>(bytes, left));
   if (offset < window_at_ || offset + bytes > window_at_ + window_.size()) {

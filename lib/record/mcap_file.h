@@ -11,6 +11,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "record/mcap_format.h"
 #include "record/recording.h"
@@ -33,6 +34,7 @@ class File {
   static constexpr std::size_t kWindowBytes = 64u << 10;
 
  private:
+  OneThread thread_;
   UniqueFd fd_;
   std::string path_;
   std::uint64_t size_ = 0;

@@ -43,6 +43,7 @@ class McapReader final : public Reader {
   [[nodiscard]] Status open_block(const Block& block);
   [[nodiscard]] Message take(const Open& open) const;
 
+  OneThread thread_;
   File file_;
   Layout layout_;
   std::size_t next_block_ = 0;
@@ -98,6 +99,7 @@ Message McapReader::take(const Open& open) const {
 }
 
 Result<std::optional<Message>> McapReader::next() {
+  thread_.check();
   const auto& blocks = layout_.blocks;
   while (next_block_ < blocks.size() &&
          (open_.empty() || blocks[next_block_].start_ns <= std::get<0>(open_.front().key())))
@@ -121,6 +123,7 @@ Result<std::optional<Message>> McapReader::next() {
 }
 
 Status McapReader::verify() {
+  thread_.check();
   if (layout_.data_crc == 0) return {};
   std::vector<std::byte> part(1u << 20);
   std::uint32_t crc = 0;

@@ -52,6 +52,7 @@ class SqliteReader final : public Reader {
   [[nodiscard]] Status read_topics();
   [[nodiscard]] Status count_messages(std::uint64_t file_bytes);
 
+  OneThread thread_;
   std::string path_;
   /// Steps of SQLite's machine left: pages that refer to each other in circles must not hang us.
   std::int64_t budget_ = 0;
@@ -217,12 +218,14 @@ Status SqliteReader::count_messages(std::uint64_t file_bytes) {
 }
 
 Result<std::int64_t> SqliteReader::start_ns() {
+  thread_.check();
   XAUTO_ASSIGN(const Statement first, prepare("SELECT MIN(timestamp) FROM messages"));
   if (sqlite3_step(first.get()) != SQLITE_ROW) return damaged();
   return sqlite3_column_int64(first.get(), 0);
 }
 
 Result<std::optional<Message>> SqliteReader::next() {
+  thread_.check();
   if (finished_) return std::optional<Message>();
   sqlite3_stmt* row = order_.get();
   const int step = sqlite3_step(row);

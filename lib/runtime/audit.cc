@@ -52,6 +52,7 @@ Audit::Audit(const Platform& platform, const std::vector<Presence>& presence,
       drivers_(xpu::busy_by_drivers(platform, machine_root, cores)) {}
 
 std::vector<int> Audit::others(int xpu, bool emulated) {
+  thread_.check();
   emulated_ = emulated;
   std::vector<int> known;
   for (int x = 0; x < static_cast<int>(num_xpus_); ++x)
@@ -69,6 +70,7 @@ Result<Audit::Readings> Audit::read() {
 }
 
 Status Audit::begin(int xpu, bool emulated) {
+  thread_.check();
   xpu_ = xpu;
   emulated_ = emulated;
   // Whoever looks back must see a time without the XNode first.
@@ -82,6 +84,7 @@ Status Audit::begin(int xpu, bool emulated) {
 }
 
 Result<std::map<int, BusyPair>> Audit::end() {
+  thread_.check();
   XAUTO_ASSIGN(const Readings after, read());
   const std::int64_t exec_ns = now_ns() - begun_ns_;
   // One that looks back knows of the exec with its next sample.

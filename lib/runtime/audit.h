@@ -22,6 +22,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "model/platform.h"
 #include "model/profile.h"
 #include "xpu/busy.h"
@@ -66,6 +67,7 @@ class Audit {
   [[nodiscard]] Result<Readings> read();
   [[nodiscard]] xpu::BusyMeter& meter() const { return emulated_ ? *emulator_ : *drivers_; }
 
+  OneThread thread_;
   const std::size_t num_xpus_;
   std::unique_ptr<xpu::BusyMeter> emulator_, drivers_;
   int xpu_ = -1;

@@ -19,6 +19,7 @@
 #include "base/rt.h"
 #include "base/short_file.h"
 #include "base/socket.h"
+#include "base/thread.h"
 #include "base/utf8.h"
 
 namespace xauto::runtime {
@@ -87,7 +88,7 @@ std::optional<double> passed_by(const Scenario& scenario, const ReadText& read) 
   return all;
 }
 
-Machine machine_in(const Tables& tables, const ScenarioOrder& order, const ReadText& read) {
+MachineState machine_in(const Tables& tables, const ScenarioOrder& order, const ReadText& read) {
   std::vector<std::optional<double>> passed;  // [scenario]
   for (const Scenario& scenario : tables.scenarios) passed.push_back(passed_by(scenario, read));
   const auto holds = [&](std::size_t s) { return passed[s] && *passed[s] == 0; };
@@ -100,7 +101,7 @@ Machine machine_in(const Tables& tables, const ScenarioOrder& order, const ReadT
     return true;
   });
   if (here >= 0) return {here, {}};
-  Machine machine;
+  MachineState machine;
   machine.scenario = order.most([&](std::size_t s) { return passed[s].has_value(); },
                                 [&](std::size_t s) { return *passed[s]; });
   if (machine.scenario < 0) return machine;
@@ -135,6 +136,7 @@ FileChanges::FileChanges(const std::vector<std::string>& paths)
 }
 
 bool FileChanges::take() {
+  thread_.check();
   alignas(inotify_event) char buffer[4096];
   bool ours = false;
   for (ssize_t got = 0; (got = ::read(inotify_.get(), buffer, sizeof buffer)) > 0;)
@@ -171,17 +173,25 @@ ConditionWatch::ConditionWatch(const Tables& tables, const ScenarioOrder& order,
       glance_(std::move(glance)),
       files_(files_of(tables)),
       warned_(files_.size()),
-      quit_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-  read();
-  thread_ = std::thread([this] { watch(now_ns()); });
+      quit_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
+
+Result<std::unique_ptr<ConditionWatch>> ConditionWatch::start(const Tables& tables,
+                                                              const ScenarioOrder& order,
+                                                              const Timing& timing, Glance glance) {
+  std::unique_ptr<ConditionWatch> watch(
+      new ConditionWatch(tables, order, timing, std::move(glance)));
+  watch->read();
+  XAUTO_ASSIGN(watch->thread_, start_thread([w = watch.get()] { w->watch(now_ns()); }));
+  return watch;
 }
 
 ConditionWatch::~ConditionWatch() {
+  if (!thread_.joinable()) return;
   signal_eventfd(quit_.get());
   thread_.join();
 }
 
-Machine ConditionWatch::now() const {
+MachineState ConditionWatch::now() const {
   const Guard lock(mutex_);
   return machine_;
 }
@@ -197,7 +207,7 @@ void ConditionWatch::read() {
         "the machine; run with the rights to read it, or take it out of scenarios.json",
         files_[f]);
   }
-  Machine machine =
+  MachineState machine =
       machine_in(tables_, order_, [&](const std::string& path) { return texts.at(path); });
   const Guard lock(mutex_);
   std::swap(machine_, machine);

@@ -13,12 +13,16 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include <xauto/result.h>
+
 #include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "model/tables.h"
 #include "runtime/scenario_order.h"
@@ -41,7 +45,7 @@ using ReadText = std::function<std::optional<std::string>(const std::string& pat
 [[nodiscard]] std::optional<double> passed_by(const Scenario& scenario, const ReadText& read);
 
 /// Which scenario the machine is in.
-struct Machine {
+struct MachineState {
   /// What of `scenario` does not hold.
   struct Outside {
     std::string file;
@@ -54,8 +58,8 @@ struct Machine {
 /// Of the scenarios whose conditions hold, one that covers no other; of several the least. If none holds,
 /// of those that have conditions the one that covers most: the machine is slower than where it was
 /// measured.
-[[nodiscard]] Machine machine_in(const Tables& tables, const ScenarioOrder& order,
-                                 const ReadText& read);
+[[nodiscard]] MachineState machine_in(const Tables& tables, const ScenarioOrder& order,
+                                      const ReadText& read);
 
 /// Tells when somebody writes, replaces or removes one of some files. Sees what programs do, and not
 /// what the kernel does to its own files. Threads: one.
@@ -68,6 +72,7 @@ class FileChanges {
   [[nodiscard]] bool take();
 
  private:
+  OneThread thread_;
   UniqueFd inotify_;
   std::map<int, std::vector<std::string>> names_;  ///< folder's watch -> names in it
 };
@@ -81,17 +86,21 @@ class ConditionWatch {
   };
   /// Asked every `glance_ns`, and whenever files were read, on the watch's thread: whether jobs show that
   /// the scenario in force is not the machine's.
-  using Glance = std::function<bool(const Machine& machine)>;
+  using Glance = std::function<bool(const MachineState& machine)>;
   /// `tables` and `order` outlive it. Without conditions nothing is read. Warns of a file that cannot be read, once
-  /// of each: a profile of root's may name some that others cannot.
-  ConditionWatch(const Tables& tables, const ScenarioOrder& order, const Timing& timing,
-                 Glance glance);
+  /// of each: a profile of root's may name some that others cannot. kUnavailable: there is no thread for it.
+  [[nodiscard]] static Result<std::unique_ptr<ConditionWatch>> start(const Tables& tables,
+                                                                     const ScenarioOrder& order,
+                                                                     const Timing& timing,
+                                                                     Glance glance);
   ~ConditionWatch();
   ConditionWatch(const ConditionWatch&) = delete;
   ConditionWatch& operator=(const ConditionWatch&) = delete;
-  [[nodiscard]] Machine now() const;
+  [[nodiscard]] MachineState now() const;
 
  private:
+  ConditionWatch(const Tables& tables, const ScenarioOrder& order, const Timing& timing,
+                 Glance glance);
   void read();
   void watch(std::int64_t since_ns);
 
@@ -102,7 +111,7 @@ class ConditionWatch {
   std::vector<std::string> files_;  ///< of all conditions, each once
   std::vector<char> warned_;        ///< [file]
   mutable PiMutex mutex_;           ///< of the releases and the watch
-  Machine machine_ XAUTO_GUARDED_BY(mutex_);
+  MachineState machine_ XAUTO_GUARDED_BY(mutex_);
   UniqueFd quit_;       ///< eventfd
   std::thread thread_;  ///< last: it uses the others
 };

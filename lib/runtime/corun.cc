@@ -20,6 +20,7 @@
 #include "base/pi_mutex.h"
 #include "base/process.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "graph/graph.h"
 #include "model/json.h"
 
@@ -61,25 +62,31 @@ class Worded : public Load {
 };
 
 /// Threads that take one step after the other while they are wanted.
-class Threads : public Worded {
+class ThreadLoad : public Worded {
  public:
   using Step = std::function<Status()>;
   using Maker = std::function<Result<Step>()>;  ///< called on the thread, before the first step
-  Threads(const Maker& make, std::size_t count, const std::vector<int>& cores) : workers_(count) {
-    for (Worker& worker : workers_) {
-      words_.push_back(&worker.words);
-      worker.thread = std::thread([this, make, cores, &worker] {
-        Status ended = run(worker.words, make, cores);
-        if (ended) return;
-        const Guard lock(mutex_);
-        failed_ = std::move(ended);
-        ended_.store(true);
-      });
+  static Result<std::unique_ptr<Load>> begin(const Maker& make, std::size_t count,
+                                             const std::vector<int>& cores) {
+    auto threads = std::make_unique<ThreadLoad>(count);
+    for (Worker& worker : threads->workers_) {
+      XAUTO_ASSIGN(worker.thread, start_thread([t = threads.get(), make, cores, &worker] {
+                     Status ended = t->run(worker.words, make, cores);
+                     if (ended) return;
+                     const Guard lock(t->mutex_);
+                     t->failed_ = std::move(ended);
+                     t->ended_.store(true);
+                   }));
     }
+    return std::unique_ptr<Load>(std::move(threads));
   }
-  ~Threads() override {
+  explicit ThreadLoad(std::size_t count) : workers_(count) {
+    for (Worker& worker : workers_) words_.push_back(&worker.words);
+  }
+  ~ThreadLoad() override {
     want(LoadWords::kEnd);
-    for (Worker& worker : workers_) worker.thread.join();
+    for (Worker& worker : workers_)
+      if (worker.thread.joinable()) worker.thread.join();
   }
 
   Status on(int) override {
@@ -115,9 +122,9 @@ class Threads : public Worded {
 /// So long a stage waits at most, at its own XPU's next co-run, for the end of the load before.
 constexpr auto kEmulatedJob = std::chrono::milliseconds(2);
 
-Result<Threads::Step> emulated_step(const XpuId& xpu) {
+Result<ThreadLoad::Step> emulated_step(const XpuId& xpu) {
   XAUTO_ASSIGN(auto context, emu::Context::open(xpu));
-  return Threads::Step([shared = std::make_shared<emu::Context>(std::move(context))] {
+  return ThreadLoad::Step([shared = std::make_shared<emu::Context>(std::move(context))] {
     return shared->run(kEmulatedJob);
   });
 }
@@ -130,11 +137,11 @@ std::size_t bytes_of_stream(std::size_t streams) {
   return std::clamp(share, kLeast, kMost);
 }
 
-Result<Threads::Step> stream_step(std::size_t streams) {
+Result<ThreadLoad::Step> stream_step(std::size_t streams) {
   rt::set_thread_name("stream");
   const auto words = std::make_shared<std::vector<std::uint64_t>>(bytes_of_stream(streams) /
                                                                   sizeof(std::uint64_t));
-  return Threads::Step([words, at = std::size_t{0}]() mutable -> Status {
+  return ThreadLoad::Step([words, at = std::size_t{0}]() mutable -> Status {
     // Every line is read and written, a megabyte per step.
     constexpr std::size_t kWords = (std::size_t{1} << 20) / sizeof(std::uint64_t);
     for (std::size_t i = 0; i < kWords; ++i) (*words)[at + i] += i;
@@ -156,10 +163,10 @@ Result<std::vector<std::string>> own_command() {
   return words;
 }
 
-class Process : public Worded {
+class ProcessLoad : public Worded {
  public:
-  Process(Child child, UniqueFd session, UniqueFd memory, LoadWords* words, std::vector<int> cores,
-          std::int64_t patience_ns)
+  ProcessLoad(Child child, UniqueFd session, UniqueFd memory, LoadWords* words,
+              std::vector<int> cores, std::int64_t patience_ns)
       : child_(std::move(child)),
         session_(std::move(session)),
         memory_(std::move(memory)),
@@ -167,7 +174,7 @@ class Process : public Worded {
         patience_ns_(patience_ns) {
     words_.push_back(words);
   }
-  ~Process() override {
+  ~ProcessLoad() override {
     want(LoadWords::kEnd);
     constexpr int kGraceMs = 1000;
     child_.stop(kGraceMs);
@@ -218,15 +225,14 @@ Result<LoadWords*> map_load_words(int fd) {
   return static_cast<LoadWords*>(memory);  // a new memfd is zeros, which is what it begins with
 }
 
-std::unique_ptr<Load> load_of_emulated(const XpuId& xpu, const std::vector<int>& cores) {
+Result<std::unique_ptr<Load>> load_of_emulated(const XpuId& xpu, const std::vector<int>& cores) {
   // Two take turns: between the end of a job and the next one there is a packet each way, and the XPU
   // would be idle.
-  return std::make_unique<Threads>([xpu] { return emulated_step(xpu); }, 2, cores);
+  return ThreadLoad::begin([xpu] { return emulated_step(xpu); }, 2, cores);
 }
 
-std::unique_ptr<Load> load_of_core(int core, std::size_t streams) {
-  return std::make_unique<Threads>([streams] { return stream_step(streams); }, 1,
-                                   std::vector<int>{core});
+Result<std::unique_ptr<Load>> load_of_core(int core, std::size_t streams) {
+  return ThreadLoad::begin([streams] { return stream_step(streams); }, 1, {core});
 }
 
 Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
@@ -248,12 +254,13 @@ Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
   options.inherit = {file.get(), memory.get()};
   options.environment = {{kSessionVariable, std::to_string(file.get())}};
   XAUTO_ASSIGN(Child child, Child::spawn(options));
-  return std::unique_ptr<Load>(std::make_unique<Process>(std::move(child), std::move(file),
-                                                         std::move(memory), words, cores,
-                                                         session.exec_limit_s * 1'000'000'000));
+  return std::unique_ptr<Load>(std::make_unique<ProcessLoad>(std::move(child), std::move(file),
+                                                             std::move(memory), words, cores,
+                                                             session.exec_limit_s * 1'000'000'000));
 }
 
 std::set<Corun::Loaded> Corun::loaded_by(const std::string& type, const Stage& stage) {
+  thread_.check();
   std::set<Loaded> loaded;
   const std::vector<Xpu>& xpus = session_.platform.xpus;
   if (!stage.emulated && type == "cpu") {
@@ -278,7 +285,13 @@ std::set<Corun::Loaded> Corun::loaded_by(const std::string& type, const Stage& s
   return loaded;
 }
 
+void Corun::rest() {
+  thread_.check();
+  only({}, -1);
+}
+
 bool Corun::beside(const std::string& type, const Stage& stage) {
+  thread_.check();
   const std::set<Loaded> loaded = loaded_by(type, stage);
   const bool good = !loaded.empty() &&
                     std::none_of(loaded.begin(), loaded.end(),
@@ -293,6 +306,7 @@ bool Corun::beside(const std::string& type, const Stage& stage) {
 }
 
 std::string Corun::what(const std::string& type) const {
+  thread_.check();
   std::string all;
   const auto kinds = what_.find(type);
   if (kinds == what_.end()) return all;
@@ -314,6 +328,7 @@ std::string Corun::what(const std::string& type) const {
 }
 
 std::string Corun::failure(const std::string& type) const {
+  thread_.check();
   for (const auto& [one, why] : failed_) {
     const bool core = one.kind == Loaded::Kind::kCore;
     const std::vector<Xpu>& xpus = session_.platform.xpus;
@@ -323,6 +338,7 @@ std::string Corun::failure(const std::string& type) const {
 }
 
 std::string Corun::why_not(const std::string& type) const {
+  thread_.check();
   const auto at = why_not_.find(type);
   return at == why_not_.end() ? "the app has nothing to measure beside it" : at->second;
 }

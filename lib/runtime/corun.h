@@ -29,11 +29,12 @@
 #include <xauto/result.h>
 #include <xauto/xpu.h>
 
+#include "base/thread_safety.h"
 #include "session/session.h"
 
 namespace xauto::runtime {
 
-/// Keeps one XPU, or one core, busy while it is on. Threads: one.
+/// Keeps one XPU, or one core, busy while it is on. Threads: that of its Corun.
 class Load {
  public:
   virtual ~Load() = default;
@@ -61,13 +62,13 @@ static_assert(sizeof(LoadWords) == 12 && std::atomic<std::uint32_t>::is_always_l
 [[nodiscard]] Result<LoadWords*> map_load_words(int fd);
 
 /// `cores`: where its threads may run.
-[[nodiscard]] std::unique_ptr<Load> load_of_emulated(const XpuId& xpu,
-                                                     const std::vector<int>& cores);
+[[nodiscard]] Result<std::unique_ptr<Load>> load_of_emulated(const XpuId& xpu,
+                                                             const std::vector<int>& cores);
 /// The app once more, as a process that runs its XNodes on `xpu`.
 [[nodiscard]] Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
                                                             const std::vector<int>& cores);
 /// `streams`: how many cores are loaded like that at once. They share the last level cache.
-[[nodiscard]] std::unique_ptr<Load> load_of_core(int core, std::size_t streams);
+[[nodiscard]] Result<std::unique_ptr<Load>> load_of_core(int core, std::size_t streams);
 
 /// Threads: one, that of the profiler.
 class Corun {
@@ -91,7 +92,7 @@ class Corun {
   /// that it could load; then nothing is.
   /// A load that fails is told by failure(), and ends nothing but the stages' times beside it.
   [[nodiscard]] bool beside(const std::string& type, const Stage& stage);
-  void rest() { only({}, -1); }
+  void rest();
 
   /// Of a class: what loads it, for people; and why there was nothing, the last time. Empty: it never
   /// came to that.
@@ -112,6 +113,7 @@ class Corun {
   [[nodiscard]] Result<std::unique_ptr<Load>> make(const Loaded& one) const;
   [[nodiscard]] std::set<Loaded> loaded_by(const std::string& type, const Stage& stage);
 
+  OneThread thread_;
   const Session& session_;
   const std::vector<int> cores_;
   std::map<Loaded, std::unique_ptr<Load>> loads_;

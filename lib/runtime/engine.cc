@@ -95,7 +95,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   }
   app.modes->bind([&board](const std::string& name) { return ask_for_scenario(board, name); });
   XAUTO_TRY(e.wiring_->start());
-  e.hangs_ = std::make_unique<HangWatch>(*e.context_, *e.wiring_, *e.role_, e.placing_.limits);
+  XAUTO_ASSIGN(e.hangs_, HangWatch::make(*e.context_, *e.wiring_, *e.role_, e.placing_.limits));
   return engine;
 }
 

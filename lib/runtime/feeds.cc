@@ -3,21 +3,23 @@
 
 #include "base/clock.h"
 #include "base/rt.h"
+#include "base/thread.h"
 
 namespace xauto::runtime {
-namespace {}  // namespace
 
-Feeds::Feeds(Interop& interop, std::vector<Feed> feeds, int fifo)
-    : interop_(interop), feeds_(std::move(feeds)) {
-  thread_ = std::thread([this, fifo] {
-    rt::set_thread_name("xauto/feeds");
-    rt::set_timer_slack_1ns();
-    if (fifo > 0) (void)rt::set_fifo(fifo);
-    run();
-  });
+Result<std::unique_ptr<Feeds>> Feeds::start(Interop& interop, std::vector<Feed> feeds, int fifo) {
+  std::unique_ptr<Feeds> made(new Feeds(interop, std::move(feeds)));
+  XAUTO_ASSIGN(made->thread_, start_thread([f = made.get(), fifo] {
+                 rt::set_thread_name("xauto/feeds");
+                 rt::set_timer_slack_1ns();
+                 if (fifo > 0) (void)rt::set_fifo(fifo);
+                 f->run();
+               }));
+  return made;
 }
 
 Feeds::~Feeds() {
+  if (!thread_.joinable()) return;
   stop_.store(true);
   thread_.join();
 }

@@ -11,9 +11,13 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <thread>
+#include <utility>
 #include <vector>
+
+#include <xauto/result.h>
 
 #include "graph/inlet.h"
 #include "processes/interop.h"
@@ -80,13 +84,16 @@ class Feeds {
     detail::Inlet* inlet;
     Pace pace;
   };
-  /// Its thread has SCHED_FIFO priority `fifo`; 0: an ordinary one. All outlive it.
-  Feeds(Interop& interop, std::vector<Feed> feeds, int fifo);
+  /// Its thread has SCHED_FIFO priority `fifo`; 0: an ordinary one. All outlive it. kUnavailable: there
+  /// is none.
+  [[nodiscard]] static Result<std::unique_ptr<Feeds>> start(Interop& interop,
+                                                            std::vector<Feed> feeds, int fifo);
   ~Feeds();
   Feeds(const Feeds&) = delete;
   Feeds& operator=(const Feeds&) = delete;
 
  private:
+  Feeds(Interop& interop, std::vector<Feed> feeds) : interop_(interop), feeds_(std::move(feeds)) {}
   void run();
 
   Interop& interop_;

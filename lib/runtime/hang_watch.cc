@@ -20,10 +20,16 @@ constexpr std::int64_t kTellNs = 1'000'000;
 
 }  // namespace
 
+Result<std::unique_ptr<HangWatch>> HangWatch::make(const Context& context, const Wiring& wiring,
+                                                   Role& role,
+                                                   const std::vector<std::vector<Limits>>& limits) {
+  std::unique_ptr<HangWatch> made(new HangWatch(context, wiring, role));
+  XAUTO_TRY(made->start(limits));
+  return made;
+}
+
 /// Looks often enough to notice a hang within a quarter of the shortest limit.
-HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
-                     const std::vector<std::vector<Limits>>& limits)
-    : context_(context), wiring_(wiring), role_(role) {
+Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
   std::int64_t shortest = 0;
   bool others = false, claims = false;
   for (const std::vector<Limits>& of_table : limits)
@@ -43,19 +49,30 @@ HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
       }
     }
   const bool tells = context_.session.tables && !role_.leads();
-  if (shortest == 0 && !others && !tells && !claims) return;
+  if (shortest == 0 && !others && !tells && !claims) return {};
   std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
   if (tells) period = std::min(period, kTellNs);
-  watchdog_ = std::make_unique<Watchdog>(period, [this, tells, claims](std::int64_t now) {
-    for (const auto& worker : wiring_.workers()) {
-      if (const auto job = worker->find_hung(now)) hung(*worker, *job);
-      if (tells) worker->tell_time(now);
-      if (claims) worker->tell_past_wcet(now);
-      if (claims) worker->tell_stuck_call(now);
-    }
-    role_.looked(now);
-  });
+  XAUTO_ASSIGN(watchdog_, Watchdog::start(period, [this, tells, claims](std::int64_t now) {
+                 for (const auto& worker : wiring_.workers()) {
+                   if (const auto job = worker->find_hung(now)) hung(*worker, *job);
+                   if (tells) worker->tell_time(now);
+                   if (claims) worker->tell_past_wcet(now);
+                   if (claims) worker->tell_stuck_call(now);
+                 }
+                 role_.looked(now);
+               }));
+  return {};
+}
+
+void HangWatch::stop() {
+  thread_.check();
+  watchdog_.reset();
+}
+
+const std::string& HangWatch::note() const {
+  thread_.check();
+  return note_;
 }
 
 void HangWatch::hung(const Worker& worker, const Worker::Hung& job) {

@@ -6,7 +6,9 @@
 #include <string>
 #include <vector>
 
-#include "base/pi_mutex.h"
+#include <xauto/result.h>
+
+#include "base/thread_safety.h"
 #include "runtime/context.h"
 #include "runtime/role.h"
 #include "runtime/watch.h"
@@ -19,15 +21,20 @@ class HangWatch {
  public:
   /// `limits`: [table][graph node]. Starts a thread if anything has a hang limit, if worst cases are claimed of
   /// jobs within their WCETs, or if the times of jobs decide which table is next and another process decides.
-  HangWatch(const Context& context, const Wiring& wiring, Role& role,
-            const std::vector<std::vector<Limits>>& limits);
-  void stop() { watchdog_.reset(); }
+  [[nodiscard]] static Result<std::unique_ptr<HangWatch>> make(
+      const Context& context, const Wiring& wiring, Role& role,
+      const std::vector<std::vector<Limits>>& limits);
+  void stop();
   /// What hung, for people. After `stop`.
-  [[nodiscard]] const std::string& note() const { return note_; }
+  [[nodiscard]] const std::string& note() const;
 
  private:
+  HangWatch(const Context& context, const Wiring& wiring, Role& role)
+      : context_(context), wiring_(wiring), role_(role) {}
+  [[nodiscard]] Status start(const std::vector<std::vector<Limits>>& limits);
   void hung(const Worker& worker, const Worker::Hung& job);
 
+  OneThread thread_;
   const Context& context_;
   const Wiring& wiring_;
   Role& role_;

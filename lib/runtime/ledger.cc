@@ -388,7 +388,7 @@ std::string Ledger::what_did_not_end() const {
 std::optional<std::int64_t> Ledger::latency_us(std::uint64_t sequence) const {
   const Guard lock(mutex_);
   const auto at = std::find_if(releases_.rbegin(), releases_.rend(),
-                               [&](const Release& r) { return r.sequence == sequence; });
+                               [&](const ReleaseRecord& r) { return r.sequence == sequence; });
   if (at == releases_.rend()) return std::nullopt;
   return at->latency_us;
 }
@@ -412,7 +412,7 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
     }
   }
   std::sort(into.releases.begin(), into.releases.end(),
-            [](const Release& a, const Release& b) { return a.sequence < b.sequence; });
+            [](const ReleaseRecord& a, const ReleaseRecord& b) { return a.sequence < b.sequence; });
   std::vector<std::uint64_t> lost;  // [module]
   for (std::size_t m = 0; m < context_.graph.modules.size(); ++m) {
     const ModuleLine& counts = context_.board.module(static_cast<int>(m));

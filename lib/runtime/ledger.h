@@ -136,7 +136,7 @@ class Ledger {
 
   /// Written once per release and sink, not per job.
   mutable PiMutex mutex_;
-  std::deque<Release> releases_ XAUTO_GUARDED_BY(mutex_);  ///< the last kKeptReleases
+  std::deque<ReleaseRecord> releases_ XAUTO_GUARDED_BY(mutex_);  ///< the last kKeptReleases
   std::uint64_t num_releases_ XAUTO_GUARDED_BY(mutex_) = 0, lost_releases_
                                                             XAUTO_GUARDED_BY(mutex_) = 0;
   Distribution latencies_us_ XAUTO_GUARDED_BY(mutex_);

@@ -52,6 +52,7 @@ MachineReadings::MachineReadings(const std::string& root) {
 }
 
 void MachineReadings::look() {
+  thread_.check();
   for (Watched& watched : files_) {
     Reading& r = watched.reading;
     const auto text = read_short_file(watched.path);
@@ -74,6 +75,7 @@ void MachineReadings::look() {
 }
 
 std::vector<Reading> MachineReadings::taken() const {
+  thread_.check();
   std::vector<Reading> readings;
   for (const Watched& watched : files_)
     if (watched.read) readings.push_back(watched.reading);

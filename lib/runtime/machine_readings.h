@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "base/thread_safety.h"
 #include "model/profile.h"
 
 namespace xauto::runtime {
@@ -28,6 +29,7 @@ class MachineReadings {
     Reading reading;
     bool read = false;  ///< at least once
   };
+  OneThread thread_;
   std::vector<Watched> files_;
 };
 

@@ -17,7 +17,7 @@
 
 namespace xauto::runtime {
 
-/// Threads: one.
+/// Threads: one at a time.
 class OutsideLog {
  public:
   static constexpr int kAgain = 5;

@@ -17,6 +17,7 @@ constexpr std::int64_t kMostLeftOut = 1000;  ///< more are a sensor that was sta
 
 std::optional<ClockPhase::Seen> ClockPhase::arrived(std::int64_t at_ns, const Grid::Source& source,
                                                     Stream& stream) {
+  thread_.check();
   const std::int64_t jitter = source.jitter_ns, middle = jitter / 2, period = source.period_ns();
   const bool at_once = at_ns - std::exchange(stream.last_ns, at_ns) < period / 2;
   if (!base_ns_) {
@@ -79,6 +80,7 @@ std::optional<ClockPhase::Seen> ClockPhase::arrived(std::int64_t at_ns, const Gr
 
 std::optional<std::int64_t> ClockPhase::left_out_ns(const Grid::Source& source,
                                                     const Stream& stream) const {
+  thread_.check();
   if (!base_ns_) return std::nullopt;
   const std::int64_t period = source.period_ns();
   const std::int64_t nominal = *base_ns_ + stream.shift_ns + source.due_ns(stream.next);

@@ -17,6 +17,7 @@
 #include <cstdint>
 #include <optional>
 
+#include "base/thread_safety.h"
 #include "runtime/grid.h"
 
 namespace xauto::runtime {
@@ -61,6 +62,7 @@ class ClockPhase {
   [[nodiscard]] std::optional<std::int64_t> base_ns() const { return base_ns_; }
 
  private:
+  OneThread thread_;
   const std::int64_t ppm_;
   std::optional<std::int64_t> base_ns_;
   std::int64_t seen_ns_ = 0;  ///< the last arrival

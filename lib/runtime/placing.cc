@@ -258,7 +258,7 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
                       : session.cpu_by_keys ? xpu::kCpuAsks
                       : scheduled           ? workers.cpu_lowest
                                             : 0;
-  const xpu::Machine machine = xpu::Machine::here();
+  const xpu::Hardware machine = xpu::Hardware::here();
   if (session.presence_of(at) == Presence::kAbsent ||
       (!emulated && !machine.has(platform, static_cast<std::size_t>(at)) && x.type == "cpu"))
     return fail(ErrorCode::kInvalid, "has XNodes in this run, and is not here: " + machine.lacks(x),

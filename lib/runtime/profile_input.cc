@@ -38,6 +38,7 @@ Result<ProfileInput> ProfileInput::open(const detail::AppSpecErased& app, const 
 }
 
 Result<bool> ProfileInput::next(Messages& messages) {
+  thread_.check();
   const std::uint64_t sequence = sequence_++;
   if (!recording_) {
     for (std::size_t s = 0; s < app_->sources.size(); ++s) {

@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "graph/app_spec.h"
 #include "graph/graph.h"
 #include "graph/inlet.h"
@@ -36,6 +37,7 @@ class ProfileInput {
       : app_(&app), graph_(&graph), inlets_(&inlets) {}
   [[nodiscard]] Status wait_for_pushed(Messages& messages);
 
+  OneThread thread_;
   const detail::AppSpecErased* app_;
   const Graph* graph_;
   detail::Inlets* inlets_;

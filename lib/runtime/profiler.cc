@@ -28,6 +28,7 @@
 #include "base/pi_mutex.h"
 #include "base/rt.h"
 #include "base/short_file.h"
+#include "base/thread.h"
 #include "graph/inlet.h"
 #include "model/json.h"
 #include "processes/parameters.h"
@@ -398,7 +399,7 @@ class Run {
   /// Cores that this machine lacks are emulated, for stand-ins. An XNode that computes itself was
   /// not measured on the others to be measured on what is not there.
   Status leave_out_missing_cores() {
-    const xpu::Machine machine = xpu::Machine::here();
+    const xpu::Hardware machine = xpu::Hardware::here();
     for (std::size_t n = 0; n < alternatives_.size(); ++n) {
       Alternatives& all = alternatives_[n];
       const auto either = std::find_if(all.begin(), all.end(), [&](const Alternative& at) {
@@ -650,12 +651,12 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   shared->run.set_parameters(std::move(values));
   std::future<Status> ended = shared->ended.get_future();
   // A thread of its own, so that the caller's priority and affinity stay as they are.
-  std::thread thread([shared] {
-    Status status = shared->run.run();
-    Status released = shared->run.release();
-    if (status) status = std::move(released);
-    shared->ended.set_value(std::move(status));
-  });
+  XAUTO_ASSIGN(std::thread thread, start_thread([shared] {
+                 Status status = shared->run.run();
+                 Status released = shared->run.release();
+                 if (status) status = std::move(released);
+                 shared->ended.set_value(std::move(status));
+               }));
   std::string incomplete;
   int looks_left = kLooksAfterStop;
   while (incomplete.empty() && ended.wait_for(kLookEvery) != std::future_status::ready) {

@@ -11,6 +11,7 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "record/xauto_msgs.h"
 
 namespace xauto::runtime {
@@ -31,35 +32,41 @@ Result<std::unique_ptr<Releaser>> Releaser::make(const Context& context, Wiring&
 
 Status Releaser::run(int fifo) {
   Status status;
-  std::thread thread([&] {
-    rt::set_thread_name("xauto/sources");
-    rt::set_timer_slack_1ns();
-    if (fifo > 0) (void)rt::set_fifo(fifo);
-    using Keep = detail::Inlet::Keep;
-    inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
-    open_feeds(fifo);
-    open_for_urgent();
-    if (context_.session.lockstep && context_.session.input.empty() && inlets_->any() &&
-        !context_.graph.single_rate)
-      log::info(
-          "in lockstep the releases of this app are at least 100 ms apart; what is published "
-          "meanwhile waits its turn");
-    status = detail::call(context_.app.on_start, "on_start", context_.app.name);
-    if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
-    feeds_.reset();
-    for (std::string& note : inlets_->close()) notes_.push_back(std::move(note));
-    for (std::size_t s = 0; s < seen_.size(); ++s)
-      if (seen_[s].unheard > 0)
-        notes_.push_back(
-            fmt::format("source '{}' marked {} releases urgent, which nothing certifies "
-                        "in this run: they were ordinary ones",
-                        context_.graph.sources[s].name, seen_[s].unheard));
-    inlets_.reset();
-    const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
-    if (status) status = stopped;
-  });
+  XAUTO_ASSIGN(std::thread thread, start_thread([&] { status = run_here(fifo); }));
   thread.join();
+  if (tables_) tables_->give_away();
   return status;
+}
+
+Status Releaser::run_here(int fifo) {
+  rt::set_thread_name("xauto/sources");
+  rt::set_timer_slack_1ns();
+  if (fifo > 0) (void)rt::set_fifo(fifo);
+  using Keep = detail::Inlet::Keep;
+  inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
+  if (Status opened = open_feeds(fifo); !opened) {
+    inlets_.reset();
+    return opened;
+  }
+  open_for_urgent();
+  if (context_.session.lockstep && context_.session.input.empty() && inlets_->any() &&
+      !context_.graph.single_rate)
+    log::info(
+        "in lockstep the releases of this app are at least 100 ms apart; what is published "
+        "meanwhile waits its turn");
+  Status status = detail::call(context_.app.on_start, "on_start", context_.app.name);
+  if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
+  feeds_.reset();
+  for (std::string& note : inlets_->close()) notes_.push_back(std::move(note));
+  for (std::size_t s = 0; s < seen_.size(); ++s)
+    if (seen_[s].unheard > 0)
+      notes_.push_back(
+          fmt::format("source '{}' marked {} releases urgent, which nothing certifies "
+                      "in this run: they were ordinary ones",
+                      context_.graph.sources[s].name, seen_[s].unheard));
+  inlets_.reset();
+  const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
+  return status ? stopped : status;
 }
 
 /// An hour may lie between two releases: looks at `stop_` meanwhile.
@@ -87,7 +94,7 @@ bool Releaser::tracked(std::size_t topic) const {
          (tracks() && wiring_.interop() != nullptr && wiring_.interop()->feeds(topic));
 }
 
-void Releaser::open_feeds(int fifo) {
+Status Releaser::open_feeds(int fifo) {
   std::vector<Feeds::Feed> feeds;
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     const Graph::Topic& topic = context_.graph.topics[t];
@@ -98,7 +105,9 @@ void Releaser::open_feeds(int fifo) {
     feeds.push_back({t, &inlets_->add(source, topic.spec.name),
                      Pace(grid.period_ns(), grid.jitter_ns, context_.grid.clock_ppm[grid.clock])});
   }
-  if (!feeds.empty()) feeds_.emplace(*wiring_.interop(), std::move(feeds), fifo);
+  if (feeds.empty()) return {};
+  XAUTO_ASSIGN(feeds_, Feeds::start(*wiring_.interop(), std::move(feeds), fifo));
+  return {};
 }
 
 /// An urgent release is one of a policy of keys that counts with it.
@@ -252,11 +261,11 @@ bool Releaser::wait_drained() {
       [this] { return wiring_.receiver() == nullptr || wiring_.receiver()->idle(); });
 }
 
-std::string Releaser::close(const std::vector<Release>& releases) {
+std::string Releaser::close(const std::vector<ReleaseRecord>& releases) {
   records_.store(false);
   if (recorder_) {
     // At the end, where nobody waits for it.
-    for (const Release& release : releases) {
+    for (const ReleaseRecord& release : releases) {
       const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
       const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
       recorder_->write(releases_topic_, end_ns,
@@ -563,7 +572,7 @@ Status Releaser::open_recorder() {
   if (context_.graph.single_rate) {
     XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));
   }
-  recorder_.emplace(std::move(recorder));
+  XAUTO_ASSIGN(recorder_, record::BackgroundRecorder::start(std::move(recorder)));
   // Once: so the distances between messages are those that were measured, whoever sets the clock.
   wall_offset_ns_ = clock_ns(CLOCK_REALTIME) - now_ns();
   records_.store(true);

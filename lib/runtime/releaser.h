@@ -38,7 +38,7 @@ class Releaser {
   [[nodiscard]] bool wait_drained();
   /// Closes the recording, with an account of `releases` (of an app of one rate). Nothing is published
   /// any more, or it is not recorded. Returns why it is not whole; empty: it is, or there is none.
-  [[nodiscard]] std::string close(const std::vector<Release>& releases);
+  [[nodiscard]] std::string close(const std::vector<ReleaseRecord>& releases);
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
   /// Of app.json's sources, what did not come as it states, and what was outside of every scenario; a
@@ -66,6 +66,7 @@ class Releaser {
   struct Seen;
   Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)
       : context_(context), wiring_(wiring), ledger_(ledger), stop_(stop) {}
+  [[nodiscard]] Status run_here(int fifo);
   [[nodiscard]] Status open_recorder();
   [[nodiscard]] std::int64_t run_length_ns(std::int64_t slowest_period_ns) const;
   [[nodiscard]] int slowest_source() const;
@@ -79,7 +80,7 @@ class Releaser {
   [[nodiscard]] Result<bool> release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;
   [[nodiscard]] bool tracked(std::size_t topic) const;
-  void open_feeds(int fifo);
+  [[nodiscard]] Status open_feeds(int fifo);
   [[nodiscard]] bool certifies_urgent(std::size_t source) const;
   void open_for_urgent();
   [[nodiscard]] Result<bool> marked(Seen& seen, std::size_t source, const void* message,
@@ -100,17 +101,17 @@ class Releaser {
   Wiring& wiring_;
   Ledger& ledger_;
   const std::atomic<bool>& stop_;
-  std::unique_ptr<TableSwitch> tables_;  ///< null: there is one policy
-  std::optional<record::BackgroundRecorder> recorder_;
-  std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
-  std::size_t releases_topic_ = 0;           ///< of the accounts
-  std::int64_t wall_offset_ns_ = 0;          ///< the wall clock's time minus now_ns()
+  std::unique_ptr<TableSwitch> tables_;                   ///< null: there is one policy
+  std::unique_ptr<record::BackgroundRecorder> recorder_;  ///< null: nothing is recorded
+  std::vector<std::size_t> recorded_topic_;               ///< [topic] -> the recorder's index
+  std::size_t releases_topic_ = 0;                        ///< of the accounts
+  std::int64_t wall_offset_ns_ = 0;                       ///< the wall clock's time minus now_ns()
   PiMutex recording_mutex_;
   std::string recording_error_ XAUTO_GUARDED_BY(recording_mutex_);
   std::atomic<bool> records_{false};      ///< open, and nothing has gone wrong
   std::optional<detail::Inlets> inlets_;  ///< while it releases
   FedGrid fed_grid_;
-  std::optional<Feeds> feeds_;         ///< likewise; before its inlets
+  std::unique_ptr<Feeds> feeds_;       ///< likewise; before its inlets; null: nobody feeds
   std::vector<std::uint64_t> pushed_;  ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;      ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;

@@ -60,7 +60,7 @@ struct ChoiceOptions {
   std::int64_t margin_pct = 0;
 };
 
-/// Threads: one.
+/// Threads: one at a time.
 class ScenarioChoice {
  public:
   /// What a job may take before it counts as longer than its WCET on an XPU of this type, in ns: on

@@ -45,7 +45,19 @@ Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, c
         ErrorCode::kInvalid, "its sources have several periods", "app '" + context.app.name + "'",
         "tables of version 1 are for apps of one rate: profile it again, for an app.json of "
         "version 2, or give `xauto run` one policy");
-  return std::unique_ptr<TableSwitch>(new TableSwitch(context, wiring, ledger));
+  std::unique_ptr<TableSwitch> made(new TableSwitch(context, wiring, ledger));
+  // A job that is too long is found in the same period; what is in memory costs nothing to look at.
+  const std::int64_t glance_ns = std::clamp(made->period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
+  const ScenarioOrder* order = nullptr;
+  {
+    const Guard lock(made->mutex_);
+    order = &made->choice_.order();
+  }
+  XAUTO_ASSIGN(made->conditions_,
+               ConditionWatch::start(
+                   made->tables_, *order, {read_every_ns(made->period_ns_), glance_ns},
+                   [t = made.get()](const MachineState& machine) { return t->glance(machine); }));
+  return made;
 }
 
 TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger)
@@ -85,16 +97,11 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
     if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
   }
   put(0, table_);
-  // A job that is too long is found in the same period; what is in memory costs nothing to look at.
-  const std::int64_t glance_ns = std::clamp(period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
-  conditions_ = std::make_unique<ConditionWatch>(
-      tables_, choice_.order(), ConditionWatch::Timing{read_every_ns(period_ns_), glance_ns},
-      [this](const Machine& machine) { return glance(machine); });
 }
 
 /// What jobs took since the last look, and how long those that run have taken so far; what people and
 /// the machine's files say.
-void TableSwitch::look(const Machine& machine) {
+void TableSwitch::look(const MachineState& machine) {
   const std::int64_t now = now_ns();
   for (const auto& worker : wiring_.workers()) worker->tell_time(now);
   for (std::size_t x = 0; x < node_of_.size(); ++x) {
@@ -140,7 +147,7 @@ void TableSwitch::judge_past() {
   }
 }
 
-bool TableSwitch::glance(const Machine& machine) {
+bool TableSwitch::glance(const MachineState& machine) {
   std::vector<std::string> said;
   bool holds = true;
   {
@@ -154,8 +161,9 @@ bool TableSwitch::glance(const Machine& machine) {
 }
 
 void TableSwitch::stop_watch() {
+  thread_.check();
   if (conditions_ == nullptr) return;
-  const Machine machine = conditions_->now();
+  const MachineState machine = conditions_->now();
   conditions_.reset();
   (void)glance(machine);
   const Guard lock(mutex_);
@@ -169,7 +177,7 @@ std::pair<Choice, int> TableSwitch::choose() {
   std::vector<std::string> said;
   std::pair<Choice, int> chosen;
   {
-    const Machine machine = conditions_->now();
+    const MachineState machine = conditions_->now();
     const Guard lock(mutex_);
     take_past();
     look(machine);
@@ -183,6 +191,7 @@ std::pair<Choice, int> TableSwitch::choose() {
 }
 
 void TableSwitch::at_release(std::int64_t nominal_ns) {
+  thread_.check();
   const int from = scenario_;
   const auto [choice, table] = choose();
   const std::int64_t now = now_ns();
@@ -228,6 +237,7 @@ void TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to, bo
 }
 
 bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
+  thread_.check();
   const std::int64_t since = now_ns();
   const int from = scenario_;
   const auto [first, table] = choose();
@@ -349,13 +359,13 @@ void TableSwitch::tell(SwitchReport change, const Choice& choice) {
 }
 
 /// Counts what no scenario covers. Returns what is to be said of it.
-std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machine& machine) {
+std::vector<std::string> TableSwitch::outside(const Choice& choice, const MachineState& machine) {
   using Kind = OutsideLog::Kind;
   std::vector<OutsideLog::What> all;
   const auto name = [&](int scenario) -> const std::string& {
     return tables_.scenarios[static_cast<std::size_t>(scenario)].name;
   };
-  for (const Machine::Outside& one : machine.outside)
+  for (const MachineState::Outside& one : machine.outside)
     all.push_back({Kind::kFile, one.file, [&] {
                      return fmt::format(
                          "the machine's clocks and modes are those of no scenario: {}; '{}' is the "
@@ -385,10 +395,12 @@ std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machin
 }
 
 bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
+  thread_.check();
   return catches_up_ && now_ns - due_ns > period_ns_ + longest_delay_ns_;
 }
 
 std::vector<std::string> TableSwitch::broken() {
+  thread_.check();
   const Guard lock(mutex_);
   std::vector<std::string> lines;
   const BoardHeader& header = context_.board.header();
@@ -402,6 +414,7 @@ std::vector<std::string> TableSwitch::broken() {
 }
 
 void TableSwitch::report(RunReport& into) {
+  thread_.check();
   if (!context_.session.keys) judge(context_.board.released(), nullptr);
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
     const ScenarioLine& line = context_.board.scenario(s);

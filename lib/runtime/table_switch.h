@@ -40,6 +40,7 @@
 #include <xauto/result.h>
 
 #include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 #include "runtime/claimed_wcets.h"
 #include "runtime/condition_watch.h"
 #include "runtime/context.h"
@@ -81,6 +82,9 @@ class TableSwitch {
   /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
   [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
 
+  /// The next thread that calls is another one; the caller orders the two.
+  void give_away() { thread_.give_away(); }
+
   /// No job runs any more: looks for the last time, and ends the watch. Idempotent.
   void stop_watch();
   /// After the last release has ended, and the watch.
@@ -91,15 +95,15 @@ class TableSwitch {
  private:
   TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger);
   /// True: what is in force does not hold. On the watch's thread.
-  [[nodiscard]] bool glance(const Machine& machine);
-  void look(const Machine& machine) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] bool glance(const MachineState& machine);
+  void look(const MachineState& machine) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::pair<Choice, int> choose();
   void judge(std::uint64_t below, SwitchReport* change);
   void show_spanned(const SwitchReport& change, int from, int to);
   void put(std::uint64_t release, int table);
   void put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time);
   void tell(SwitchReport change, const Choice& choice);
-  [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
+  [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const MachineState& machine)
       XAUTO_REQUIRES(mutex_);
   [[nodiscard]] const std::string& name_of(int xnode) const {
     return context_.session.app.xnodes[static_cast<std::size_t>(xnode)].name;
@@ -110,6 +114,7 @@ class TableSwitch {
   void take_past() XAUTO_REQUIRES(mutex_);
   void judge_past() XAUTO_REQUIRES(mutex_);
 
+  OneThread thread_;
   const Context& context_;
   const Wiring& wiring_;
   Ledger& ledger_;

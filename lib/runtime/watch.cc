@@ -8,6 +8,7 @@
 #include "base/clock.h"
 #include "base/futex.h"
 #include "base/rt.h"
+#include "base/thread.h"
 
 namespace xauto::runtime {
 
@@ -66,14 +67,18 @@ std::optional<Stopwatch::Look> Stopwatch::look(std::int64_t now_ns) const {
   return seen;
 }
 
-Watchdog::Watchdog(std::int64_t period_ns, std::function<void(std::int64_t)> look)
-    : thread_([this, period_ns, look = std::move(look)] {
-        rt::set_thread_name("xauto/watch");
-        while (quit_.load() == 0) {
-          futex_wait_local(quit_, 0, period_ns);
-          if (quit_.load() == 0) look(now_ns());
-        }
-      }) {}
+Result<std::unique_ptr<Watchdog>> Watchdog::start(std::int64_t period_ns,
+                                                  std::function<void(std::int64_t)> look) {
+  std::unique_ptr<Watchdog> dog(new Watchdog);
+  XAUTO_ASSIGN(dog->thread_, start_thread([&quit = dog->quit_, period_ns, look = std::move(look)] {
+                 rt::set_thread_name("xauto/watch");
+                 while (quit.load() == 0) {
+                   futex_wait_local(quit, 0, period_ns);
+                   if (quit.load() == 0) look(now_ns());
+                 }
+               }));
+  return dog;
+}
 
 void Watchdog::stop() {
   quit_.store(1);

@@ -12,9 +12,12 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <thread>
 #include <vector>
+
+#include <xauto/result.h>
 
 #include "model/deployment.h"
 
@@ -70,13 +73,16 @@ class Stopwatch {
 /// Calls `look` every `period_ns` on a thread of its own.
 class Watchdog {
  public:
-  Watchdog(std::int64_t period_ns, std::function<void(std::int64_t now_ns)> look);
+  /// kUnavailable: there is none.
+  [[nodiscard]] static Result<std::unique_ptr<Watchdog>> start(
+      std::int64_t period_ns, std::function<void(std::int64_t now_ns)> look);
   ~Watchdog() { stop(); }
   Watchdog(const Watchdog&) = delete;
   Watchdog& operator=(const Watchdog&) = delete;
   void stop();
 
  private:
+  Watchdog() = default;
   std::atomic<std::uint32_t> quit_{0};  ///< a futex
   std::thread thread_;
 };

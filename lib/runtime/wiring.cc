@@ -245,12 +245,11 @@ Status Wiring::open_inputs() {
                      channel->publish(envelope);
                    });
   }
-  receiver_->start([priority = placing_.fifo.sources] {
+  return receiver_->start([priority = placing_.fifo.sources] {
     rt::set_thread_name("xauto/topics");
     rt::set_timer_slack_1ns();
     if (priority > 0) (void)rt::set_fifo(priority);
   });
-  return {};
 }
 
 void Wiring::close_inputs() {

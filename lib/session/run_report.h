@@ -14,7 +14,7 @@
 namespace xauto::runtime {
 
 /// What became of one release of the sensors.
-struct Release {
+struct ReleaseRecord {
   std::uint64_t sequence = 0;
   std::int64_t origin_ns = 0;
   std::int64_t latency_us = -1;  ///< until the last sink module was done; -1: dropped somewhere
@@ -114,10 +114,10 @@ struct SwitchReport {
 inline constexpr std::size_t kKeptSwitches = 4096;
 
 struct RunReport {
-  bool complete = false;          ///< every release was accounted for before the end
-  std::string not_complete;       ///< why not, for people
-  std::string note;               ///< the same, or what was done differently; for people
-  std::vector<Release> releases;  ///< of an app of one rate: the last kKeptReleases
+  bool complete = false;                ///< every release was accounted for before the end
+  std::string not_complete;             ///< why not, for people
+  std::string note;                     ///< the same, or what was done differently; for people
+  std::vector<ReleaseRecord> releases;  ///< of an app of one rate: the last kKeptReleases
   /// Of all; lost are those without a result, also where a run gave up.
   std::uint64_t num_releases = 0, lost_releases = 0;
   Distribution latencies_us;  ///< of all that were not lost

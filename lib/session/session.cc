@@ -28,7 +28,7 @@ constexpr const char* kOneBuild = "the app and the xauto tool must be of one bui
 template <class T, class S>
 concept Is = std::same_as<std::remove_const_t<T>, S>;
 
-template <class Io, Is<Release> T>
+template <class Io, Is<ReleaseRecord> T>
 void fields(Io io, T& x) {
   io("sequence", x.sequence, "origin_ns", x.origin_ns, "latency_us", x.latency_us);
 }

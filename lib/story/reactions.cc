@@ -162,8 +162,8 @@ std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story) {
   return Follower(app, story, std::move(*parts)).follow();
 }
 
-std::optional<Window> window_of(const AppSpec& app, const KeyPolicy& keys, const Story& story,
-                                const JobStory& job) {
+std::optional<ObservedWindow> window_of(const AppSpec& app, const KeyPolicy& keys,
+                                        const Story& story, const JobStory& job) {
   if (job.activation < 0) return std::nullopt;
   const Activation& activation = story.activations[at(job.activation)];
   const std::int64_t released_ns = activation.released_ns;
@@ -175,9 +175,9 @@ std::optional<Window> window_of(const AppSpec& app, const KeyPolicy& keys, const
   const std::int64_t sooner_ns =
       activation.urgent_source < 0 ? 0
                                    : app.sources[at(activation.urgent_source)].urgent->by_us * 1000;
-  return Window{released_ns,
-                released_ns + std::max<std::int64_t>(of(placed.hold_us) - sooner_ns, 0),
-                released_ns + of(placed.key_us) - sooner_ns};
+  return ObservedWindow{released_ns,
+                        released_ns + std::max<std::int64_t>(of(placed.hold_us) - sooner_ns, 0),
+                        released_ns + of(placed.key_us) - sooner_ns};
 }
 
 }  // namespace xauto::story

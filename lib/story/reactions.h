@@ -31,11 +31,11 @@ struct Reaction {
 
 /// When a job may run: from its nominal release and hold to its key, of an urgent release by as much
 /// earlier as app.json says.
-struct Window {
+struct ObservedWindow {
   std::int64_t released_ns = 0, begin_ns = 0, key_ns = 0;
 };
 /// Nullopt: the trace does not tell its release.
-[[nodiscard]] std::optional<Window> window_of(const AppSpec& app, const KeyPolicy& keys,
-                                              const Story& story, const JobStory& job);
+[[nodiscard]] std::optional<ObservedWindow> window_of(const AppSpec& app, const KeyPolicy& keys,
+                                                      const Story& story, const JobStory& job);
 
 }  // namespace xauto::story

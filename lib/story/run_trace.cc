@@ -145,7 +145,7 @@ class Painter {
     // The run begins under the first one. A trace that does not reach back to that does not tell.
     std::string from =
         story_.overwritten + story_.lost == 0 ? name_in(scene_.tables->scenarios, 0) : "?";
-    for (const TableSwitch& s : story_.switches) {
+    for (const SwitchStory& s : story_.switches) {
       const std::string to = name_in(scene_.tables->scenarios, s.scenario),
                         table = name_in(scene_.tables->tables, s.table);
       const ChangeInfo* told = told_of(s, to);
@@ -174,7 +174,7 @@ class Painter {
   }
 
   /// What the report says of it; null: nothing.
-  const ChangeInfo* told_of(const TableSwitch& s, const std::string& to) const {
+  const ChangeInfo* told_of(const SwitchStory& s, const std::string& to) const {
     const auto at = std::find_if(
         scene_.changes.begin(), scene_.changes.end(),
         [&](const ChangeInfo& change) { return change.release == s.release && change.to == to; });

@@ -142,12 +142,12 @@ void paint_samples(PerfettoWriter& out, Track root, const AppSpec& app, const Sc
   }
 }
 
-void tell_window(const Window& window, std::int64_t began_ns, Details& first) {
+void tell_window(const ObservedWindow& window, std::int64_t began_ns, Details& first) {
   first.args.emplace_back("since_release_us", (began_ns - window.released_ns) / 1000);
   first.args.emplace_back("key_us", (window.key_ns - window.released_ns) / 1000);
 }
 
-void tell_lateness(const Window& window, std::int64_t ended_ns, Details& last) {
+void tell_lateness(const ObservedWindow& window, std::int64_t ended_ns, Details& last) {
   // Towards later: what is late by less than a microsecond is late.
   const std::int64_t ns = ended_ns - window.key_ns;
   last.args.emplace_back("lateness_us", ns > 0 ? (ns + 999) / 1000 : ns / 1000);

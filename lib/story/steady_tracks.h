@@ -28,7 +28,9 @@ void paint_samples(PerfettoWriter& out, PerfettoWriter::Track root, const AppSpe
                    std::vector<std::vector<PerfettoWriter::Details>> arrows);
 
 /// What the first and the last slice of a job say of its window.
-void tell_window(const Window& window, std::int64_t began_ns, PerfettoWriter::Details& first);
-void tell_lateness(const Window& window, std::int64_t ended_ns, PerfettoWriter::Details& last);
+void tell_window(const ObservedWindow& window, std::int64_t began_ns,
+                 PerfettoWriter::Details& first);
+void tell_lateness(const ObservedWindow& window, std::int64_t ended_ns,
+                   PerfettoWriter::Details& last);
 
 }  // namespace xauto::story

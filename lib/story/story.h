@@ -101,7 +101,7 @@ struct Incident {
 };
 
 /// With tables: another scenario counts from a release on.
-struct TableSwitch {
+struct SwitchStory {
   std::int64_t at_ns = 0;
   std::uint64_t release = 0;
   int scenario = 0, table = 0;
@@ -119,7 +119,7 @@ struct Story {
   std::uint64_t lost = 0;         ///< events that are not there, or that make no sense
   std::uint64_t overwritten = 0;  ///< events from before `begin_ns`, where the trace begins to hold
   std::vector<Incident> incidents;
-  std::vector<TableSwitch> switches;
+  std::vector<SwitchStory> switches;
 };
 
 /// The trace may have been cut short anywhere, its writer killed at any point: what does not fit

@@ -25,7 +25,7 @@ std::uint64_t now_ns() {
 ///
 /// The words are stored with release and loaded with acquire, so that a reader that gets any word
 /// of a later lap also sees, in its second look at the stamp, that the slot was taken for it.
-struct Slot {
+struct EventSlot {
   std::atomic<std::uint64_t> ts_ns, seq, what;
   std::atomic<std::uint32_t> arg, stamp;
 
@@ -47,13 +47,14 @@ struct Slot {
     return e;
   }
 };
-static_assert(sizeof(Slot) == sizeof(Event) && offsetof(Slot, what) == offsetof(Event, xnode) &&
+static_assert(sizeof(EventSlot) == sizeof(Event) &&
+              offsetof(EventSlot, what) == offsetof(Event, xnode) &&
               offsetof(Event, kind) == offsetof(Event, xnode) + 6 &&
-              offsetof(Slot, arg) == offsetof(Event, arg) &&
-              offsetof(Slot, stamp) == offsetof(Event, stamp));
+              offsetof(EventSlot, arg) == offsetof(Event, arg) &&
+              offsetof(EventSlot, stamp) == offsetof(Event, stamp));
 
-Slot* slots_of(Header* header) {
-  return reinterpret_cast<Slot*>(header + 1);
+EventSlot* slots_of(Header* header) {
+  return reinterpret_cast<EventSlot*>(header + 1);
 }
 
 /// Of a slot that holds the event `index`. Laps are counted modulo 2^31, which nobody lives to see.
@@ -109,7 +110,7 @@ void Writer::write_at(std::int64_t ts_ns, std::uint16_t kind, std::uint64_t seq,
                       std::uint16_t xnode, std::uint16_t module, std::uint16_t xpu,
                       std::uint32_t arg) noexcept {
   const std::uint64_t index = header_->claimed.fetch_add(1, std::memory_order_relaxed);
-  Slot& slot = slots_of(header_)[index % header_->capacity];
+  EventSlot& slot = slots_of(header_)[index % header_->capacity];
   const std::uint32_t mine = stamp_of(index, header_->capacity);
   std::uint32_t there = slot.stamp.load(std::memory_order_relaxed);
   // Taken or ahead of us: a lap lies between two writers. Ours is given up; the reader counts it.
@@ -149,7 +150,7 @@ Result<Recording> read(int fd) {
   recording.events.reserve(end - first);
   indices.reserve(end - first);
   for (std::uint64_t index = first; index < end; ++index) {
-    const Slot& slot = slots_of(header)[index % capacity];
+    const EventSlot& slot = slots_of(header)[index % capacity];
     const std::uint32_t wanted = stamp_of(index, capacity);
     if (slot.stamp.load(std::memory_order_acquire) != wanted) continue;
     const Event event = slot.get();

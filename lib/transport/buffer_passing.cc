@@ -111,6 +111,7 @@ Result<BufferSender::Told> BufferSender::tell(
 // ---- reading -----------------------------------------------------------------------------------
 
 std::shared_ptr<detail::BufferMemory> BufferReceiver::find(std::uint64_t number) {
+  thread_.check();
   if (!known_.contains(number) && !before_.contains(number)) drain();
   if (const auto at = known_.find(number); at != known_.end()) {
     before_.clear();  // messages come in order: none of a predecessor's is left
@@ -120,7 +121,13 @@ std::shared_ptr<detail::BufferMemory> BufferReceiver::find(std::uint64_t number)
   return at == before_.end() ? nullptr : at->second;
 }
 
+std::size_t BufferReceiver::known() const {
+  thread_.check();
+  return known_.size() + before_.size();
+}
+
 void BufferReceiver::drain() {
+  thread_.check();
   for (int i = 0; i < kMostAtOnce; ++i) {
     BufferPacket packet;
     std::vector<UniqueFd> fds;

@@ -23,6 +23,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "transport/buffer.h"
 
@@ -86,12 +87,15 @@ class BufferReceiver {
   [[nodiscard]] std::shared_ptr<detail::BufferMemory> find(std::uint64_t number);
   /// Takes what has come, so that the socket does not stay full.
   void drain();
-  [[nodiscard]] std::size_t known() const { return known_.size() + before_.size(); }
+  [[nodiscard]] std::size_t known() const;
+  /// The next thread that calls is another one; the caller orders the two.
+  void give_away() { thread_.give_away(); }
 
  private:
   [[nodiscard]] Status take(const BufferPacket& packet, std::vector<UniqueFd> fds);
   void warn(const Error& error);
 
+  OneThread thread_;
   const std::string topic_;
   UniqueFd end_;
   using Memories = std::unordered_map<std::uint64_t, std::shared_ptr<detail::BufferMemory>>;

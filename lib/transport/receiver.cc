@@ -3,6 +3,8 @@
 
 #include <algorithm>
 
+#include "base/thread.h"
+
 namespace xauto::transport {
 
 void Receiver::add(int tag, std::shared_ptr<Subscriber> subscriber, bool blank, Deliver deliver) {
@@ -19,11 +21,12 @@ void Receiver::remove(int tag) {
   std::erase_if(inputs_, [&](const Input& input) { return input.tag == tag; });
 }
 
-void Receiver::start(std::function<void()> enter) {
-  thread_ = std::thread([this, enter = std::move(enter)] {
-    enter();
-    run();
-  });
+Status Receiver::start(std::function<void()> enter) {
+  XAUTO_ASSIGN(thread_, start_thread([this, enter = std::move(enter)] {
+                 enter();
+                 run();
+               }));
+  return {};
 }
 
 void Receiver::stop() {

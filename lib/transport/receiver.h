@@ -8,6 +8,8 @@
 #include <thread>
 #include <vector>
 
+#include <xauto/result.h>
+
 #include "transport/doorbell.h"
 #include "transport/shm_topic.h"
 
@@ -27,8 +29,8 @@ class Receiver {
   void add(int tag, std::shared_ptr<Subscriber> subscriber, bool blank, Deliver deliver);
   /// Returns when none of these inputs is being delivered any more. Not from `deliver`.
   void remove(int tag);
-  /// `enter`: called once on the new thread.
-  void start(std::function<void()> enter);
+  /// `enter`: called once on the new thread. kUnavailable: there is none.
+  [[nodiscard]] Status start(std::function<void()> enter);
   void stop();
   /// Nothing waits in any queue, and nothing is being delivered.
   [[nodiscard]] bool idle() const;

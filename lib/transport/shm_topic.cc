@@ -382,6 +382,7 @@ Result<std::shared_ptr<ShmSubscriber>> ShmSubscriber::open(const detail::TopicSp
   if (end) {
     subscriber->buffers_ = std::make_unique<BufferReceiver>(spec.name, std::move(end));
     subscriber->buffers_->drain();  // what a predecessor has not taken
+    subscriber->buffers_->give_away();
     subscriber->control_->queue(index).asks.fetch_add(1);
   }
   return subscriber;

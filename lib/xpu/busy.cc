@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "base/short_file.h"
+#include "base/thread_safety.h"
 #include "emu/client.h"
 
 namespace xauto::xpu {
@@ -26,6 +27,7 @@ class OnEmulator final : public BusyMeter {
     return 0;
   }
   Result<std::int64_t> busy_ns(int xpu) override {
+    thread_.check();
     if (!control_) {
       XAUTO_ASSIGN(control_, emu::Control::connect());
     }
@@ -33,6 +35,7 @@ class OnEmulator final : public BusyMeter {
   }
 
  private:
+  OneThread thread_;
   std::vector<std::string> devices_;  ///< [XPU]; empty: the emulator has it not
   std::optional<emu::Control> control_;
 };
@@ -67,6 +70,7 @@ class ByDrivers final : public BusyMeter {
     return kLoadPeriodNs * kLoadPeriods;
   }
   Result<std::int64_t> busy_ns(int xpu) override {
+    thread_.check();
     const Source& source = sources_[static_cast<std::size_t>(xpu)];
     if (!source.core.empty()) return ticks_of(source.core);
     const auto per_mille = read_number_file(source.load);
@@ -103,6 +107,7 @@ class ByDrivers final : public BusyMeter {
     return fail(ErrorCode::kIo, "does not say how busy " + core + " was", stat_);
   }
 
+  OneThread thread_;
   std::string stat_;
   std::vector<Source> sources_;
 };

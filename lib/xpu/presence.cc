@@ -9,8 +9,8 @@
 
 namespace xauto::xpu {
 
-Machine Machine::here(const std::vector<Kind>& table) {
-  Machine machine{rt::allowed_cores().size(), {}};
+Hardware Hardware::here(const std::vector<Kind>& table) {
+  Hardware machine{rt::allowed_cores().size(), {}};
   for (const Kind& kind : table)
     for (const std::string& node : kind.nodes) {
       struct stat status {};
@@ -19,7 +19,8 @@ Machine Machine::here(const std::vector<Kind>& table) {
   return machine;
 }
 
-bool Machine::has(const Platform& platform, std::size_t xpu, const std::vector<Kind>& table) const {
+bool Hardware::has(const Platform& platform, std::size_t xpu,
+                   const std::vector<Kind>& table) const {
   const Xpu& x = platform.xpus[xpu];
   if (!kind_of(x.type, table).nodes.empty()) return devices.contains(x.type);
   if (x.type != "cpu") return true;
@@ -28,14 +29,14 @@ bool Machine::has(const Platform& platform, std::size_t xpu, const std::vector<K
   return static_cast<std::size_t>(at - cpus.begin()) < cores;
 }
 
-std::string Machine::lacks(const Xpu& xpu) const {
+std::string Hardware::lacks(const Xpu& xpu) const {
   if (xpu.type == "cpu")
     return "this process may use " + std::to_string(cores) + (cores == 1 ? " CPU" : " CPUs");
   return "this machine has no " + xpu.type + " (no device node)";
 }
 
 Result<std::vector<Presence>> presence_of(const Platform& platform, const EmulationFlags& flags,
-                                          const AppSpec* app, const Machine& machine) {
+                                          const AppSpec* app, const Hardware& machine) {
   const std::vector<Xpu>& xpus = platform.xpus;
   const auto named = [&](const Xpu& xpu, const std::string& name) {
     return xpu.id == name || xpu.type == name;
@@ -45,15 +46,13 @@ Result<std::vector<Presence>> presence_of(const Platform& platform, const Emulat
       return fail(ErrorCode::kInvalid,
                   "'" + name + "' is no XPU of platform '" + platform.name + "', nor a type",
                   "--emulate");
-  std::vector<Presence> presence(xpus.size(), Presence::kEither);
+  std::vector<Presence> presence(xpus.size());
   bool emulates = false;
   for (std::size_t i = 0; i < xpus.size(); ++i) {
     const bool here = machine.has(platform, i);
     const Presence real = here ? Presence::kReal : Presence::kAbsent;
-    if (flags.all) {
-      presence[i] = Presence::kEmulated;
-    } else if (std::any_of(flags.names.begin(), flags.names.end(),
-                           [&](const std::string& name) { return named(xpus[i], name); })) {
+    if (flags.all || std::any_of(flags.names.begin(), flags.names.end(),
+                                 [&](const std::string& name) { return named(xpus[i], name); })) {
       presence[i] = Presence::kEmulated;
     } else if (flags.none) {
       if (!here)
@@ -64,8 +63,8 @@ Result<std::vector<Presence>> presence_of(const Platform& platform, const Emulat
       presence[i] = *xpus[i].emulated ? Presence::kEmulated : real;
     } else if (!flags.names.empty()) {
       presence[i] = real;
-    } else if (!here) {
-      presence[i] = Presence::kEmulated;
+    } else {
+      presence[i] = here ? Presence::kEither : Presence::kEmulated;
     }
     emulates = emulates || presence[i] == Presence::kEmulated;
   }
@@ -86,7 +85,7 @@ Result<std::vector<Presence>> presence_of(const Platform& platform, const Emulat
 Status check_placements(const AppSpec& app, const Platform& platform,
                         const std::vector<Presence>& presence, const Policy& policy,
                         const std::string& path) {
-  const Machine machine = Machine::here();
+  const Hardware machine = Hardware::here();
   const char* hint =
       "xauto doctor --platform-out here.json writes a platform file of this machine: profile and "
       "solve with that";
@@ -143,7 +142,7 @@ std::string describe(const Platform& platform, const std::vector<Presence>& pres
   return text;
 }
 
-Platform platform_of(const Machine& machine, const std::string& name,
+Platform platform_of(const Hardware& machine, const std::string& name,
                      const std::vector<Kind>& table) {
   Platform platform;
   platform.name = name;

@@ -20,10 +20,10 @@
 namespace xauto::xpu {
 
 /// What a machine has.
-struct Machine {
+struct Hardware {
   std::size_t cores = 0;          ///< that this process may use
   std::set<std::string> devices;  ///< types with a device node
-  [[nodiscard]] static Machine here(const std::vector<Kind>& table = kinds());
+  [[nodiscard]] static Hardware here(const std::vector<Kind>& table = kinds());
   /// Types without device nodes are the app's own business: they are always there.
   [[nodiscard]] bool has(const Platform& platform, std::size_t xpu,
                          const std::vector<Kind>& table = kinds()) const;
@@ -43,7 +43,8 @@ struct EmulationFlags {
 /// machine that lacks something.
 [[nodiscard]] Result<std::vector<Presence>> presence_of(const Platform& platform,
                                                         const EmulationFlags& flags,
-                                                        const AppSpec* app, const Machine& machine);
+                                                        const AppSpec* app,
+                                                        const Hardware& machine);
 
 /// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
 [[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
@@ -63,7 +64,7 @@ struct EmulationFlags {
 
 /// The platform of this machine: its cores, and one of each kind with a driver, emulated if it has
 /// none.
-[[nodiscard]] Platform platform_of(const Machine& machine, const std::string& name,
+[[nodiscard]] Platform platform_of(const Hardware& machine, const std::string& name,
                                    const std::vector<Kind>& table = kinds());
 
 }  // namespace xauto::xpu

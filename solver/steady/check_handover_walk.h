@@ -50,7 +50,7 @@ struct Drift {
 };
 
 /// Of U.
-struct Job {
+struct WalkedJob {
   int xnode = -1;
   int xpu = -1;
   std::int64_t n = 0;
@@ -144,7 +144,7 @@ class Walk {
         if (!generate(jobs_[at(x)].late + 1)) return false;
       if (!know_fresh()) return false;
       for (const int x : batch) {
-        Job& job = jobs_[at(x)];
+        WalkedJob& job = jobs_[at(x)];
         find_end(job);
         note_end(x);
         const bool late = drifts_
@@ -174,13 +174,13 @@ class Walk {
   }
   /// By then that job has ended, of U or not.
   [[nodiscard]] Ticks end(int xnode, std::int64_t n) const {
-    const Job* job = find(xnode, n);
+    const WalkedJob* job = find(xnode, n);
     if (job != nullptr && job->ended < kUnknown) return job->ended;
     return release(xnode, n) + drift_.late(window(xnode, n).d);
   }
   /// In real time; where the clock drifts.
   [[nodiscard]] bool ends_by_key(int xnode, std::int64_t n) const {
-    const Job* job = find(xnode, n);
+    const WalkedJob* job = find(xnode, n);
     return job == nullptr || job->ended == kUnknown || job->clean;
   }
   [[nodiscard]] const Window& window(int xnode, std::int64_t n) const {
@@ -245,7 +245,7 @@ class Walk {
     const bool q = of_q(xnode, n);
     const World& w = both_.of(q);
     const Window& window = w.window(xnode, n);
-    Job job;
+    WalkedJob job;
     job.xnode = xnode;
     job.xpu = w.policy.placements[at(xnode)].xpu;
     job.n = n;
@@ -262,7 +262,7 @@ class Walk {
     jobs_.push_back(job);
   }
 
-  [[nodiscard]] Ticks work_of(const Job& job, Ticks cost) const {
+  [[nodiscard]] Ticks work_of(const WalkedJob& job, Ticks cost) const {
     const Ticks wcet = job.of_q ? both_.q.wcet[at(job.xnode)] : both_.larger[at(job.xnode)];
     return drift_.longest(wcet + cost);
   }
@@ -290,9 +290,9 @@ class Walk {
     std::vector<std::size_t> sizes;
     for (const Line& line : lines_) sizes.push_back(line.all.size());
     for (std::size_t k = old; k < jobs_.size(); ++k) {
-      Job& job = jobs_[k];
+      WalkedJob& job = jobs_[k];
       lines_[at(job.xpu)].all.emplace_back(job.soon, static_cast<int>(k));
-      for_each_before(job, [&](const Job& before) { job.waits += before.ended == kUnknown; });
+      for_each_before(job, [&](const WalkedJob& before) { job.waits += before.ended == kUnknown; });
       if (job.waits == 0) walk_next(static_cast<int>(k));
     }
     for (std::size_t m = 0; m < lines_.size(); ++m) {
@@ -320,7 +320,7 @@ class Walk {
   bool know(int x) {
     const Ticks ready = by_when_ready(jobs_[at(x)]);
     if (!generate(ready)) return false;  // who may have started before
-    Job& job = jobs_[at(x)];
+    WalkedJob& job = jobs_[at(x)];
     job.ready = ready;
     job.on_time = drifts_ && is_on_time(job);
     charge(job);
@@ -328,7 +328,7 @@ class Walk {
     return true;
   }
 
-  [[nodiscard]] const Job* find(int xnode, std::int64_t n) const {
+  [[nodiscard]] const WalkedJob* find(int xnode, std::int64_t n) const {
     const auto& own = jobs_of_[at(xnode)];
     const std::int64_t k = n - first_kept_[at(xnode)];
     if (k < 0 || k >= static_cast<std::int64_t>(own.size())) return nullptr;
@@ -339,10 +339,10 @@ class Walk {
 
   /// Jobs of U that this one waits for, once for each reason.
   template <typename Visit>
-  void for_each_before(const Job& job, const Visit& visit) const {
+  void for_each_before(const WalkedJob& job, const Visit& visit) const {
     const World& w = both_.p;  // edges and modules are the app's
     const auto one = [&](int i, std::int64_t n) {
-      if (const Job* before = find(i, n)) visit(*before);
+      if (const WalkedJob* before = find(i, n)) visit(*before);
     };
     for (const auto& [u, transfer] : w.before[at(job.xnode)]) one(u, job.n);
     one(job.xnode, job.n - 1);
@@ -352,10 +352,10 @@ class Walk {
   }
 
   /// The converse of for_each_before: what has this one as its last wait may be walked.
-  void release_waiting(const Job& job) {
+  void release_waiting(const WalkedJob& job) {
     const World& w = both_.p;
     const auto one = [&](int i, std::int64_t n) {
-      const Job* after = find(i, n);
+      const WalkedJob* after = find(i, n);
       if (after == nullptr) return;  // not generated yet
       const auto k = static_cast<std::size_t>(after - jobs_.data());
       if (--jobs_[k].waits == 0) walk_next(static_cast<int>(k));
@@ -368,7 +368,7 @@ class Walk {
   }
 
   /// Through any number of others.
-  bool waits_for(const Job& job, const Job& other) {
+  bool waits_for(const WalkedJob& job, const WalkedJob& other) {
     if (both_.p.component_of[at(job.xnode)] != both_.p.component_of[at(other.xnode)]) return false;
     auto& lags = lags_[at(other.xnode)];
     if (lags.empty()) lags = both_.p.lags_after(other.xnode);
@@ -378,7 +378,7 @@ class Walk {
   // ------------------------------------------------------------------------------------ A and F
 
   /// A(x).
-  [[nodiscard]] Ticks by_when_ready(const Job& x) const {
+  [[nodiscard]] Ticks by_when_ready(const WalkedJob& x) const {
     const World& w = both_.of(x.of_q);
     const Component& home = w.home(x.xnode);
     Ticks ready = x.release;
@@ -399,7 +399,7 @@ class Walk {
     if (w.entry[at(x.xnode)])
       for (const int i : w.module_xnodes[at(m)])
         ready = std::max(ready, end(i, x.n - w.in_flight[at(m)]));
-    const Job* previous = find(x.xnode, x.n - 1);
+    const WalkedJob* previous = find(x.xnode, x.n - 1);
     if (previous == nullptr) {  // it has ended by its key, which is at most t'
       const World& before = both_.of(of_q(x.xnode, x.n - 1));
       return std::max(
@@ -409,19 +409,19 @@ class Walk {
   }
 
   /// By then the activation before x does not keep it any more, but for its work.
-  [[nodiscard]] static Ticks leaves_it(const Job& x, const Job& previous) {
+  [[nodiscard]] static Ticks leaves_it(const WalkedJob& x, const WalkedJob& previous) {
     const bool larger_key = previous.of_q != x.of_q && previous.late > x.soon;
     return previous.xpu != x.xpu || larger_key ? std::max(previous.ready, previous.ended)
                                                : previous.ready;
   }
 
   /// What x of q waits for leaves it no later than `a`.
-  [[nodiscard]] bool is_on_time(const Job& x) const {
+  [[nodiscard]] bool is_on_time(const WalkedJob& x) const {
     if (!x.of_q) return false;
     const World& w = both_.q;
     const Ticks by = opens(x);
     const auto fits = [&](int i, std::int64_t n, Ticks transfer) {
-      const Job* before = find(i, n);
+      const WalkedJob* before = find(i, n);
       return (before != nullptr && before->clean) || end(i, n) + drift_.longest(transfer) <= by;
     };
     for (const auto& [u, transfer] : w.before[at(x.xnode)])
@@ -430,23 +430,23 @@ class Walk {
     if (w.entry[at(x.xnode)])
       for (const int i : w.module_xnodes[at(m)])
         if (!fits(i, x.n - w.in_flight[at(m)], 0)) return false;
-    const Job* previous = find(x.xnode, x.n - 1);
+    const WalkedJob* previous = find(x.xnode, x.n - 1);
     return previous == nullptr || previous->on_time || leaves_it(x, *previous) <= by;
   }
   /// The least that `a` may be, of a job of q.
-  [[nodiscard]] Ticks opens(const Job& x) const {
+  [[nodiscard]] Ticks opens(const WalkedJob& x) const {
     return x.release + drift_.soon(both_.q.window(x.xnode, x.n).a);
   }
 
   /// Jobs of larger keys on x's XPU that may have started before `instant`, and do not wait for x.
   template <typename Visit>
-  void for_each_started(const Job& x, Ticks instant, const Visit& visit) {
+  void for_each_started(const WalkedJob& x, Ticks instant, const Visit& visit) {
     const auto& all = lines_[at(x.xpu)].all;
     auto k = std::upper_bound(all.begin(), all.end(),
                               std::pair(x.soon - blur_, std::numeric_limits<int>::max()));
     // Later ones are released at `instant` or after it.
     for (; k != all.end() && k->first < instant + deepest_; ++k) {
-      const Job& other = jobs_[at(k->second)];
+      const WalkedJob& other = jobs_[at(k->second)];
       if (other.late > x.soon && other.starts < instant && &other != &x && !waits_for(other, x) &&
           !visit(other))
         return;
@@ -454,11 +454,11 @@ class Walk {
   }
 
   /// A is known, so who may be preempted is.
-  void charge(Job& x) {
+  void charge(WalkedJob& x) {
     const Ticks cost = lines_[at(x.xpu)].cost;
     if (cost == 0) return;
     bool pays = false;
-    for_each_started(x, x.ready, [&](const Job& other) {
+    for_each_started(x, x.ready, [&](const WalkedJob& other) {
       pays = other.xnode != x.xnode && !(drifts_ && waits_for(x, other));
       return !pays;
     });
@@ -479,7 +479,7 @@ class Walk {
     const auto found = std::find(line.known.rbegin(), line.known.rend(), x);
     set_latest(line, static_cast<std::size_t>(line.known.rend() - found) - 1);
     std::erase(line.pending, x);
-    if (const Job& job = jobs_[at(x)]; !job.of_q) {
+    if (const WalkedJob& job = jobs_[at(x)]; !job.of_q) {
       --line.of_p_left;
       line.of_p_ended = std::max(line.of_p_ended, job.ended);
     }
@@ -497,19 +497,19 @@ class Walk {
 
   /// Whom x may find on an XPU that does not preempt.
   struct Blocker {
-    const Job* job;
+    const WalkedJob* job;
     Ticks left;  ///< less what it waits for, of those in V(s); 0 if it is one
   };
-  void find_blockers(const Job& x) {
+  void find_blockers(const WalkedJob& x) {
     blockers_.clear();
     if (lines_[at(x.xpu)].preemptive) return;
-    for_each_started(x, std::max(x.ready, high_), [&](const Job& other) {
+    for_each_started(x, std::max(x.ready, high_), [&](const WalkedJob& other) {
       // What x waits for has a smaller key, or A(x) is at least its F, which counts V(s) too.
       if (!drifts_ || !waits_for(x, other)) blockers_.push_back({&other, other.work});
       return true;
     });
   }
-  void count(const Job& of_v) {
+  void count(const WalkedJob& of_v) {
     for (Blocker& b : blockers_) {
       if (waits_for(*b.job, of_v)) b.left -= of_v.work;
       if (b.job == &of_v) b.left = 0;
@@ -523,7 +523,7 @@ class Walk {
     return longest;
   }
   /// The same for t, where all of V is counted.
-  [[nodiscard]] Ticks blocked_at_high(const Job& x) const {
+  [[nodiscard]] Ticks blocked_at_high(const WalkedJob& x) const {
     Ticks longest = 0;
     for (const Blocker& b : blockers_)
       if (b.job->starts < high_ && b.job->soon > x.late) longest = std::max(longest, b.left);
@@ -532,13 +532,13 @@ class Walk {
 
   /// Whether a job of p may be there at s that q's certificate does not know: it blocks x, or is
   /// preempted by one of V(s), whose keys are at least `least_key`.
-  [[nodiscard]] bool meets_p(const Job& x, Ticks s, Ticks least_key) const {
+  [[nodiscard]] bool meets_p(const WalkedJob& x, Ticks s, Ticks least_key) const {
     const Line& line = lines_[at(x.xpu)];
     if (line.preemptive && line.cost == 0) return false;
     if (line.of_p_left == 0 && line.of_p_ended <= s) return false;
     const Ticks key = line.preemptive ? least_key : x.soon;
     return std::ranges::any_of(line.of_p, [&](int k) {
-      const Job& job = jobs_[at(k)];
+      const WalkedJob& job = jobs_[at(k)];
       return job.ended > s && job.late > key && (line.preemptive || job.starts < s);
     });
   }
@@ -559,13 +559,13 @@ class Walk {
   ///
   /// Where x is clean so far it stays so, too, if the sum for s is in time, or if G has ended before any
   /// of V(s) has to be ready: then q's certificate bounds V(s) from there on.
-  void find_end(Job& x) {
+  void find_end(WalkedJob& x) {
     const Line& line = lines_[at(x.xpu)];
     find_blockers(x);
     Ticks sum = 0, worst = 0;
     bool clean = x.on_time, certain = true;  // certain: all of V(s) are known, of q, and on time
     for (std::size_t k = line.low; k < line.all.size() && line.all[k].first <= x.late; ++k) {
-      const Job& y = jobs_[at(line.all[k].second)];
+      const WalkedJob& y = jobs_[at(line.all[k].second)];
       if (y.ready < kUnknown) continue;
       sum += y.work;
       count(y);
@@ -581,7 +581,7 @@ class Walk {
     };
     std::size_t k = line.known.size();
     for (; k > 0; --k) {
-      const Job& y = jobs_[at(line.known[k - 1])];
+      const WalkedJob& y = jobs_[at(line.known[k - 1])];
       if (y.ready <= low_) break;
       if (y.soon > x.late) continue;
       const Ticks s = y.ready;
@@ -604,7 +604,7 @@ class Walk {
       if (ended <= s && (!clean || by <= x.soon || ended <= open)) return end(worst);
     }
     for (; k > 0; --k) {
-      const Job& y = jobs_[at(line.known[k - 1])];
+      const WalkedJob& y = jobs_[at(line.known[k - 1])];
       if (!is_before(line.known[k - 1])) continue;
       sum += y.work;
       count(y);
@@ -634,7 +634,7 @@ class Walk {
   Ticks last_ = 0;                                   ///< L, but for S
   std::size_t most_ = 0;
   Ticks all_work_ = 0;
-  std::vector<Job> jobs_;
+  std::vector<WalkedJob> jobs_;
   std::vector<int> fresh_;                 ///< whose A may be found
   std::vector<Line> lines_;                ///< [xpu]
   std::vector<std::vector<int>> jobs_of_;  ///< [xnode] from first_kept_ on

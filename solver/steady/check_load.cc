@@ -297,30 +297,31 @@ class Load {
     bool operator>(const Pending& o) const { return key != o.key ? key > o.key : item > o.item; }
     bool operator==(const Pending&) const = default;
   };
-  struct Slot {
+  struct Occurrence {
     Ticks ready = 0, key = 0, work = 0;
     const Item* item = nullptr;
   };
 
   /// The pattern on the grid, each window begun in [0, period).
-  [[nodiscard]] std::vector<Slot> slots(const Group& g) const {
-    std::vector<Slot> all;
+  [[nodiscard]] std::vector<Occurrence> occurrences(const Group& g) const {
+    std::vector<Occurrence> all;
     all.reserve(g.items.size());
     for (const Item& i : g.items) {
-      Slot s{i.release + ceil_div(static_cast<__int128>(i.window.a) * kMillion, kMillion - g.ppm),
-             i.release + floor_div(static_cast<__int128>(i.window.d) * kMillion, kMillion + g.ppm),
-             ceil_div(static_cast<__int128>(i.work) * kMillion, kMillion - g.ppm), &i};
+      Occurrence s{
+          i.release + ceil_div(static_cast<__int128>(i.window.a) * kMillion, kMillion - g.ppm),
+          i.release + floor_div(static_cast<__int128>(i.window.d) * kMillion, kMillion + g.ppm),
+          ceil_div(static_cast<__int128>(i.work) * kMillion, kMillion - g.ppm), &i};
       const Ticks shift = floor_div(s.ready, g.period) * g.period;
       s.ready -= shift;
       s.key -= shift;
       all.push_back(s);
     }
-    std::ranges::sort(all, {}, &Slot::ready);
+    std::ranges::sort(all, {}, &Occurrence::ready);
     return all;
   }
 
   Status exhibit(const Group& g) {
-    const std::vector<Slot> all = slots(g);
+    const std::vector<Occurrence> all = occurrences(g);
     std::priority_queue<Pending, std::vector<Pending>, std::greater<>> queue;
     Ticks now = 0, worst = kMaxTicks;
     std::size_t tight = 0;
@@ -372,11 +373,11 @@ class Load {
   }
 
   /// The interval that ends with the key of `tight` and has the least slack.
-  [[nodiscard]] Step interval(const std::vector<Slot>& all, std::size_t tight,
+  [[nodiscard]] Step interval(const std::vector<Occurrence>& all, std::size_t tight,
                               const Group& g) const {
     const Ticks end = all[tight].key;
     Ticks demand = 0, longest = 0;
-    for (const Slot& s : all) longest = std::max(longest, s.key - s.ready);
+    for (const Occurrence& s : all) longest = std::max(longest, s.key - s.ready);
     Step best{kMaxTicks, 0, all[tight].item};
     const Ticks first = floor_div(end, g.period) * g.period;
     // Further back each pattern adds as much length, and no more work, than the one after it.
@@ -392,7 +393,7 @@ class Load {
     return best;
   }
 
-  Status misses(const std::vector<Slot>& all, std::size_t tight, const Group& g) const {
+  Status misses(const std::vector<Occurrence>& all, std::size_t tight, const Group& g) const {
     const Step s = interval(all, tight, g);
     const Item& i = *s.last;
     return fail(
@@ -403,7 +404,8 @@ class Load {
         where(i), "give it, or what runs beside it, a later key");
   }
 
-  Status tightest(const std::vector<Slot>& all, std::size_t tight, const Group& g, Ticks slack) {
+  Status tightest(const std::vector<Occurrence>& all, std::size_t tight, const Group& g,
+                  Ticks slack) {
     const Step s = interval(all, tight, g);
     // The schedule and the demand are counted in two ways.
     if (s.length - s.demand != slack)

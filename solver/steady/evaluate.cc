@@ -75,7 +75,7 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
     rigid_[at(i)] = p_.urgent[at(i)] != 0 &&
                     (p_.root[at(i)] != 0 ||
                      std::any_of(p_.pred[at(i)].begin(), p_.pred[at(i)].end(),
-                                 [&](const Link& l) { return p_.urgent[at(l.xnode)] == 0; }));
+                                 [&](const EdgeEnd& l) { return p_.urgent[at(l.xnode)] == 0; }));
   rule_.work.resize(at(p_.num_xnodes));
   rule_.delay.resize(at(p_.num_xnodes));
   rule_.cost.resize(at(p_.num_xpus));

@@ -161,7 +161,7 @@ void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
   ++done_[ix(round)];
   const std::int64_t per_round = p_.jobs[at(i)];
   const std::int64_t n = in_round + base_ - p_.slot[at(i)];
-  for (const Link& link : p_.succ[at(i)]) {
+  for (const EdgeEnd& link : p_.succ[at(i)]) {
     const std::int64_t next = round * jobs_ + p_.slot[at(link.xnode)] - base_ + n;
     const Tick passes = p_.transfer(link, rule.xpu[at(i)], rule.xpu[at(link.xnode)]);
     if (passes == 0)

@@ -483,7 +483,7 @@ class Cluster {
     };
     for (const int d : domains_)
       for (const int i : p_.domains[at(d)].xnodes) {
-        for (const Link& link : p_.pred[at(i)]) waits(i, link.xnode);
+        for (const EdgeEnd& link : p_.pred[at(i)]) waits(i, link.xnode);
         fed[at(in_.to_xpu[at(i)])][at(in_.from_xpu[at(i)])] = 1;
         const int module = p_.module_of[at(i)];
         if (module < 0 || p_.entry[at(i)] == 0) continue;
@@ -499,7 +499,7 @@ class Cluster {
         for (const bool second : {false, true}) {
           const std::vector<int>& xpu = second ? in_.to_xpu : in_.from_xpu;
           const int m = xpu[at(i)];
-          for (const Link& link : p_.pred[at(i)])
+          for (const EdgeEnd& link : p_.pred[at(i)])
             if (xpu[at(link.xnode)] == m && (second ? in_.then : in_.now).transfer(link, m, m) > 0)
               feeds_[at(m)][at(m)] = 1;
         }
@@ -522,7 +522,7 @@ class Cluster {
     for (const int d : domains_)
       for (const int i : p_.domains[at(d)].xnodes) {
         Tick passes = 0, window = kMostTicks;
-        for (const Link& link : in_.then.pred[at(i)])
+        for (const EdgeEnd& link : in_.then.pred[at(i)])
           passes = std::max(passes,
                             in_.then.transfer(link, in_.to_xpu[at(link.xnode)], in_.to_xpu[at(i)]));
         for (int n = 0; n < p_.jobs[at(i)]; ++n)
@@ -547,7 +547,7 @@ class Cluster {
         deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
       }
     const Tick reach = deepest + 2 * lost_in(deepest, domain.ppm);
-    for (const Release& r : releases_of(p_, domain)) {
+    for (const ReleaseTime& r : releases_of(p_, domain)) {
       LateAround around{r.at, r.before - in_fast_time(in_.notice, domain.ppm), r.before, {}, {}};
       for (const int c : domain.components)
         if (!find_raised(p_.components[at(c)], domain, r.at + reach + 2 * domain.hyper, around,
@@ -598,7 +598,7 @@ class Cluster {
         };
         if (n == first && (in_.to_xpu[at(i)] != in_.from_xpu[at(i)] || first_key(i, n - 1) > key))
           after(i, n - 1, 0);
-        for (const Link& link : in_.then.pred[at(i)])
+        for (const EdgeEnd& link : in_.then.pred[at(i)])
           after(link.xnode, n,
                 in_fast_time(in_.then.transfer(link, in_.to_xpu[at(link.xnode)], in_.to_xpu[at(i)]),
                              domain.ppm));
@@ -635,7 +635,7 @@ class Cluster {
       const Looked looked = looks_at(d);
       const Tick notice = in_fast_time(in_.notice, domain.ppm);
       Tick gap = 0;
-      for (const Release& r : releases_of(p_, domain)) gap = std::max(gap, r.at - r.before);
+      for (const ReleaseTime& r : releases_of(p_, domain)) gap = std::max(gap, r.at - r.before);
       const Tick longest = looked.before + gap + notice + looked.after;
       std::vector<Due>& due = dues_[at(d)];
       due.resize(at(p_.num_xpus));
@@ -674,10 +674,10 @@ class Cluster {
     const std::int64_t ppm = domain.ppm;
     Lateness& lateness = of_domain_[at(d)];
     const Looked looked = looks_at(d);
-    const std::vector<Release> all = releases_of(p_, domain);
+    const std::vector<ReleaseTime> all = releases_of(p_, domain);
     const std::vector<Due>& due = dues_[at(d)];
     for (std::size_t k = 0; k < all.size(); ++k) {
-      const Release& r = all[k];
+      const ReleaseTime& r = all[k];
       LateAround& around = lateness.around[k];
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
       const Range look{around.since - looked.before, r.at + looked.last_ready, r.at + looked.after};

@@ -27,17 +27,17 @@ inline Tick least_of_clock(Tick t, std::int64_t ppm) {
 }
 
 /// Nominal releases of a hyperperiod, each once, with the one that precedes it.
-struct Release {
+struct ReleaseTime {
   Tick at, before;
 };
-[[nodiscard]] inline std::vector<Release> releases_of(const Problem& p, const Domain& domain) {
+[[nodiscard]] inline std::vector<ReleaseTime> releases_of(const Problem& p, const Domain& domain) {
   std::vector<Tick> all;
   for (const int c : domain.components)
     for (int n = 0; n < p.components[at(c)].jobs; ++n)
       all.push_back((p.components[at(c)].phase + n * p.components[at(c)].period) % domain.hyper);
   std::sort(all.begin(), all.end());
   all.erase(std::unique(all.begin(), all.end()), all.end());
-  std::vector<Release> releases;
+  std::vector<ReleaseTime> releases;
   Tick before = all.back() - domain.hyper;
   for (const Tick t : all) {
     releases.push_back({t, before});
@@ -312,7 +312,7 @@ class Walk {
   /// each(job that `x` waits for)
   template <class Each>
   void waited_for(const Job& x, Each each) const {
-    for (const Link& link : p_.pred[at(x.xnode)])
+    for (const EdgeEnd& link : p_.pred[at(x.xnode)])
       if (const int u = find(link.xnode, x.n); u >= 0) each(u);
     if (const int u = find(x.xnode, x.n - 1); u >= 0) each(u);
     const int module = p_.module_of[at(x.xnode)];
@@ -336,7 +336,7 @@ class Walk {
 
   /// Those that wait for `x`, as waited_for counts.
   void release_waiting(const Job& x) {
-    for (const Link& link : p_.succ[at(x.xnode)]) one_less(find(link.xnode, x.n));
+    for (const EdgeEnd& link : p_.succ[at(x.xnode)]) one_less(find(link.xnode, x.n));
     one_less(find(x.xnode, x.n + 1));
     const int module = p_.module_of[at(x.xnode)];
     if (module < 0) return;
@@ -373,7 +373,7 @@ class Walk {
       const int u = find(xnode, n);
       x.on_time = x.on_time && (left <= in_time || (u >= 0 && jobs_[at(u)].clean));
     };
-    for (const Link& link : of_table.pred[at(x.xnode)])
+    for (const EdgeEnd& link : of_table.pred[at(x.xnode)])
       after(link.xnode, x.n,
             long_at_most(of_table.transfer(link, xpu[at(link.xnode)], xpu[at(x.xnode)])));
     if (const int u = find(x.xnode, x.n - 1); u >= 0) {

@@ -60,7 +60,7 @@ struct Case {
   std::vector<double> price;  ///< [type] to begin the ascent with
   bool begun = false;         ///< by another one
   int split = -1;             ///< XNode to be fixed next
-  Choice choice = {};         ///< or what is decided next
+  Disjunction choice = {};    ///< or what is decided next
   [[nodiscard]] bool closed() const { return split < 0 && choice.count == 0; }
 };
 
@@ -264,7 +264,7 @@ class Bounder {
       for (const int i : order) until_[at(i)] = -1;
       for (const int i : q.from) until_[at(i)] = 0, by_[at(i)] = -1;
       for (const int i : order) {
-        for (const Link& link : p_.pred[at(i)])
+        for (const EdgeEnd& link : p_.pred[at(i)])
           if (p_.before(link.xnode, q.to) && until_[at(link.xnode)] > until_[at(i)]) {
             until_[at(i)] = until_[at(link.xnode)];
             by_[at(i)] = link.xnode;
@@ -338,8 +338,8 @@ class Bounder {
   /// The choices of XPUs that are the one of their type, among those of which `is_on` says that they
   /// are there, and on some way; of many the heaviest.
   template <class IsOn>
-  [[nodiscard]] std::vector<Choice> open_choices(const Case& c, IsOn is_on) const {
-    std::vector<Choice> open;
+  [[nodiscard]] std::vector<Disjunction> open_choices(const Case& c, IsOn is_on) const {
+    std::vector<Disjunction> open;
     for (std::size_t t = 0; t < types_; ++t) {
       if (p_.type_xpus[t].size() != 1) continue;
       std::vector<int> on;
@@ -354,13 +354,13 @@ class Bounder {
         return work_[at(a) * types_ + t] > work_[at(b) * types_ + t];
       });
       on.resize(std::min(on.size(), kMostOnXpu));
-      for (const Choice& choice : choices_on(p_, p_.type_xpus[t].front(), on, kMostInThrees))
+      for (const Disjunction& choice : choices_on(p_, p_.type_xpus[t].front(), on, kMostInThrees))
         if (!holds(choice, c)) open.push_back(choice);
     }
     return open;
   }
 
-  [[nodiscard]] static bool holds(const Choice& choice, const Case& c) {
+  [[nodiscard]] static bool holds(const Disjunction& choice, const Case& c) {
     return std::any_of(choice.options.begin(), choice.options.begin() + choice.count,
                        [&](const auto& option) {
                          return std::all_of(option.begin(), option.end(), [&](const Longer& l) {
@@ -370,7 +370,7 @@ class Bounder {
   }
 
   /// What a choice adds to the sum of the picks, whoever it is.
-  [[nodiscard]] static Int gain(const Choice& choice, const Case& c, const Visits& visits) {
+  [[nodiscard]] static Int gain(const Disjunction& choice, const Case& c, const Visits& visits) {
     Int least = -1;
     for (std::size_t k = 0; k < choice.count; ++k) {
       Int sum = 0;
@@ -383,7 +383,7 @@ class Bounder {
   }
 
   template <class Visit>
-  static void for_each_of(const Choice& choice, const Visit& visit) {
+  static void for_each_of(const Disjunction& choice, const Visit& visit) {
     for (std::size_t k = 0; k < choice.count; ++k)
       for (const Longer& l : choice.options[k])
         if (l.xnode >= 0) visit(l.xnode);
@@ -393,8 +393,8 @@ class Bounder {
   /// itself counts there.
   [[nodiscard]] Int of_choices(const Case& c, const Visits& visits) const {
     if (choices_.empty()) return 0;
-    std::vector<std::pair<Int, const Choice*>> gains;
-    for (const Choice& choice : choices_)
+    std::vector<std::pair<Int, const Disjunction*>> gains;
+    for (const Disjunction& choice : choices_)
       if (const Int g = gain(choice, c, visits); g > 0) gains.emplace_back(g, &choice);
     std::stable_sort(gains.begin(), gains.end(),
                      [](const auto& a, const auto& b) { return a.first > b.first; });
@@ -412,11 +412,11 @@ class Bounder {
   }
 
   /// Options that cost nobody who is picked may make others the longest: if so, one of these choices.
-  const Choice* not_free(const Case& c, const std::vector<Choice>& open, double value) {
+  const Disjunction* not_free(const Case& c, const std::vector<Disjunction>& open, double value) {
     if (open.empty()) return nullptr;
     Case trial = c;
-    std::vector<const Choice*> by(c.left.size(), nullptr);
-    for (const Choice& choice : open) {
+    std::vector<const Disjunction*> by(c.left.size(), nullptr);
+    for (const Disjunction& choice : open) {
       if (holds(choice, trial)) continue;
       std::size_t cheapest = 0;
       Tick least = kNoTick;
@@ -444,7 +444,7 @@ class Bounder {
     const Visits::Pick picked = pick(longest);
     case_ = &c;
     if (longest <= value * (1 + kNear)) return nullptr;
-    const Choice* most = nullptr;
+    const Disjunction* most = nullptr;
     Tick longer = 0;
     for (const auto& [i, weight] : picked.visits)
       if (by[at(i)] != nullptr && trial.longer[at(i)] - c.longer[at(i)] > longer) {
@@ -474,11 +474,11 @@ class Bounder {
         }
     if (c.split >= 0) return;
     // What the ascent has somewhere where it meets others.
-    const std::vector<Choice> open =
+    const std::vector<Disjunction> open =
         open_choices(c, [&](std::size_t i, std::size_t t) { return at(type_[i]) == t; });
-    const Choice* next = nullptr;
+    const Disjunction* next = nullptr;
     Int best = 0;
-    for (const Choice& choice : open)
+    for (const Disjunction& choice : open)
       if (const Int g = gain(choice, c, best_); g > best) {
         best = g;
         next = &choice;
@@ -562,7 +562,7 @@ class Bounder {
   std::vector<char> on_way_;  ///< [xnode] whether some way may visit it
   Visits best_;
   const Case* case_ = nullptr;
-  std::vector<Choice> choices_;  ///< of the case, that nothing has decided
+  std::vector<Disjunction> choices_;  ///< of the case, that nothing has decided
   bool all_fixed_ = false;
   std::vector<int> unfixed_;  ///< in stretches that would meet themselves
 };

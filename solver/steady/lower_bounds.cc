@@ -18,7 +18,7 @@ Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int t
   std::vector<Tick> until(at(p.num_xnodes), kNoTick);
   until[at(from)] = least[at(from)];
   for (const int i : p.components[at(p.component_of[at(to)])].xnodes)
-    for (const Link& link : p.pred[at(i)])
+    for (const EdgeEnd& link : p.pred[at(i)])
       if (until[at(link.xnode)] != kNoTick)
         until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
   return until[at(to)];
@@ -133,7 +133,7 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
   for (const Component& c : p.components)
     for (const int i : c.xnodes) {
       Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
-      for (const Link& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
+      for (const EdgeEnd& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
       ends[at(i)] = ready + least[at(i)];
     }
   // Version 1's bound on the ancestors, from the nominal release on.

@@ -15,13 +15,13 @@ int clock_of(const Problem& p, int i) {
 
 /// `k` windows of `u` in a row and one of `v`: where all of these fit into less than their work, all
 /// windows of v have that work.
-void add_rows(const Problem& p, int xpu, int u, int v, std::vector<Choice>& choices) {
+void add_rows(const Problem& p, int xpu, int u, int v, std::vector<Disjunction>& choices) {
   const Tick of_u = p.wcet(u, xpu), of_v = p.wcet(v, xpu), period = p.period_of(u);
   if (!repeats_at_once(p, u)) return;
   for (int k = 2; k <= kMostInRow; ++k) {
     const Tick by = (k - 1) * (of_u - period) + of_v;
     if (by <= 0) return;
-    Choice choice;
+    Disjunction choice;
     choice.add({u, by});
     choice.add({v, k * of_u});
     choices.push_back(choice);
@@ -30,16 +30,16 @@ void add_rows(const Problem& p, int xpu, int u, int v, std::vector<Choice>& choi
 
 }  // namespace
 
-std::vector<Choice> choices_on(const Problem& p, int xpu, const std::vector<int>& on,
-                               std::size_t most_in_threes) {
-  std::vector<Choice> choices;
+std::vector<Disjunction> choices_on(const Problem& p, int xpu, const std::vector<int>& on,
+                                    std::size_t most_in_threes) {
+  std::vector<Disjunction> choices;
   const Tick cost = p.preempt[at(xpu)];
   for (std::size_t a = 0; a < on.size(); ++a)
     for (std::size_t b = a + 1; b < on.size(); ++b) {
       const int u = on[a], v = on[b];
       if (clock_of(p, u) == clock_of(p, v)) continue;
       const Tick of_u = p.wcet(u, xpu), of_v = p.wcet(v, xpu);
-      Choice choice;
+      Disjunction choice;
       if (p.preemptive[at(xpu)] == 0) {
         // The shorter window is blocked by who has the longer one.
         choice.add({u, of_v}, {v, of_u});
@@ -56,7 +56,7 @@ std::vector<Choice> choices_on(const Problem& p, int xpu, const std::vector<int>
         const int w = on[c];
         if (clock_of(p, w) == clock_of(p, u) || clock_of(p, w) == clock_of(p, v)) continue;
         const Tick of_w = p.wcet(w, xpu);
-        Choice three;
+        Disjunction three;
         three.add({u, of_v + of_w});
         three.add({v, of_u + of_w});
         three.add({w, of_u + of_v});

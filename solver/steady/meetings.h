@@ -19,7 +19,7 @@ struct Longer {
 };
 
 /// In any policy one of the options holds, with all that it says.
-struct Choice {
+struct Disjunction {
   std::array<std::array<Longer, 2>, 3> options;
   std::size_t count = 0;
 
@@ -27,9 +27,9 @@ struct Choice {
 };
 
 /// Of XNodes that all run on `xpu`. Threes are looked at among the first `most_in_threes` only.
-[[nodiscard]] std::vector<Choice> choices_on(const Problem& problem, int xpu,
-                                             const std::vector<int>& on,
-                                             std::size_t most_in_threes);
+[[nodiscard]] std::vector<Disjunction> choices_on(const Problem& problem, int xpu,
+                                                  const std::vector<int>& on,
+                                                  std::size_t most_in_threes);
 
 /// Whether an XNode's windows repeat with its period.
 [[nodiscard]] inline bool repeats_at_once(const Problem& problem, int xnode) {

@@ -291,7 +291,7 @@ struct Builder {
       for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i) {
         std::vector<std::uint64_t>& behind = p.reach[at(*i)];
         behind.assign(words, 0);
-        for (const Link& s : p.succ[at(*i)]) {
+        for (const EdgeEnd& s : p.succ[at(*i)]) {
           const int k = p.place[at(s.xnode)];
           behind[at(k / 64)] |= std::uint64_t{1} << (k % 64);
           for (std::size_t w = 0; w < words; ++w) behind[w] |= p.reach[at(s.xnode)][w];
@@ -324,7 +324,7 @@ struct Builder {
     }
     for (Module& module : p.modules)
       for (const int i : module.xnodes)
-        if (std::none_of(p.pred[at(i)].begin(), p.pred[at(i)].end(), [&](const Link& l) {
+        if (std::none_of(p.pred[at(i)].begin(), p.pred[at(i)].end(), [&](const EdgeEnd& l) {
               return p.module_of[at(l.xnode)] == p.module_of[at(i)];
             })) {
           module.entries.push_back(i);

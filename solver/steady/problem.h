@@ -73,7 +73,7 @@ struct Module {
 };
 
 /// An edge, from the other end's view.
-struct Link {
+struct EdgeEnd {
   int xnode = -1;
   int transfer = -1;  ///< index into Problem::transfers, -1: none
 };
@@ -112,14 +112,14 @@ struct Problem {
   std::vector<Component> components;
   std::vector<Domain> domains;
   std::vector<Module> modules;
-  std::vector<int> component_of, module_of;   ///< [xnode]; module_of -1: no limit applies
-  std::vector<std::vector<Link>> pred, succ;  ///< [xnode] edges
-  std::vector<char> entry, root;              ///< [xnode]
-  std::vector<Tick> root_ready;               ///< [root] largest of J + offset - phase
-  std::vector<std::vector<Tick>> transfers;   ///< [from type * num_types + to type]
-  std::vector<std::pair<int, int>> samples;   ///< (u, v)
-  std::vector<char> reads;                    ///< [xnode] the second of some sample
-  std::vector<char> urgent;                   ///< [xnode] hears of its component's urgent source
+  std::vector<int> component_of, module_of;      ///< [xnode]; module_of -1: no limit applies
+  std::vector<std::vector<EdgeEnd>> pred, succ;  ///< [xnode] edges
+  std::vector<char> entry, root;                 ///< [xnode]
+  std::vector<Tick> root_ready;                  ///< [root] largest of J + offset - phase
+  std::vector<std::vector<Tick>> transfers;      ///< [from type * num_types + to type]
+  std::vector<std::pair<int, int>> samples;      ///< (u, v)
+  std::vector<char> reads;                       ///< [xnode] the second of some sample
+  std::vector<char> urgent;                      ///< [xnode] hears of its component's urgent source
   bool any_urgent = false;
   std::vector<Chain> chains;
   std::vector<int> place;  ///< [xnode] among the XNodes of its component
@@ -154,7 +154,7 @@ struct Problem {
            ((reach[at(a)][at(place[at(b)] / 64)] >> (place[at(b)] % 64)) & 1U) != 0;
   }
   /// What the message of `link` costs from `from_xpu` to `to_xpu`.
-  [[nodiscard]] Tick transfer(const Link& link, int from_xpu, int to_xpu) const {
+  [[nodiscard]] Tick transfer(const EdgeEnd& link, int from_xpu, int to_xpu) const {
     if (link.transfer < 0) return 0;
     return transfers[at(link.transfer)]
                     [at(xpu_type[at(from_xpu)]) * at(num_types) + at(xpu_type[at(to_xpu)])];

@@ -93,7 +93,7 @@ std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
   std::vector<Tick> tail(at(p.num_xnodes), 0);
   for (const Component& c : p.components)
     for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i)
-      for (const Link& s : p.succ[at(*i)])
+      for (const EdgeEnd& s : p.succ[at(*i)])
         tail[at(*i)] = std::max(tail[at(*i)], tail[at(s.xnode)] + work[at(s.xnode)]);
   return tail;
 }
@@ -103,7 +103,7 @@ std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
   for (const Component& c : p.components)
     for (const int i : c.xnodes) {
       if (p.root[at(i)] != 0) head[at(i)] = p.root_ready[at(i)];
-      for (const Link& l : p.pred[at(i)])
+      for (const EdgeEnd& l : p.pred[at(i)])
         head[at(i)] = std::max(head[at(i)], head[at(l.xnode)] + work[at(l.xnode)]);
     }
   return head;
@@ -141,7 +141,7 @@ Decision Search::from_hint(const KeyPolicy& hint) {
   d.window.assign(at(p_.num_xnodes), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     Tick ready = p_.root[at(i)] != 0 ? p_.root_ready[at(i)] : 0;
-    for (const Link& link : p_.pred[at(i)])
+    for (const EdgeEnd& link : p_.pred[at(i)])
       ready = std::max(
           ready, d.key[at(link.xnode)] + p_.transfer(link, d.xpu[at(link.xnode)], d.xpu[at(i)]));
     d.window[at(i)] = std::max(p_.wcet(i, d.xpu[at(i)]), d.key[at(i)] - ready);
@@ -288,11 +288,11 @@ void Search::spread_windows(Decision& d, double part) const {
   const auto inside = [&](int a, int b) { return p_.module_of[at(a)] == p_.module_of[at(b)]; };
   for (const Component& c : p_.components) {
     for (const int i : c.xnodes)
-      for (const Link& l : p_.pred[at(i)])
+      for (const EdgeEnd& l : p_.pred[at(i)])
         if (inside(i, l.xnode))
           head[at(i)] = std::max(head[at(i)], head[at(l.xnode)] + weight[at(l.xnode)]);
     for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i)
-      for (const Link& l : p_.succ[at(*i)])
+      for (const EdgeEnd& l : p_.succ[at(*i)])
         if (inside(*i, l.xnode))
           tail[at(*i)] = std::max(tail[at(*i)], tail[at(l.xnode)] + weight[at(l.xnode)]);
   }

@@ -2,8 +2,8 @@
 #include "solver/steady/solve.h"
 
 #include <algorithm>
-#include <mutex>
 
+#include "base/mutex.h"
 #include "solver/steady/chains.h"
 #include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
@@ -101,11 +101,11 @@ Status check_hint(const KeyPolicy& hint, Keep keep, const AppSpec& app, const Pr
 
 /// The best of all threads.
 struct Shared {
-  std::mutex mutex;
-  Candidate best;
-  bool any = false;
-  int thread = 0;  ///< whose it is
-  double first_ms = 0;
+  Mutex mutex;
+  Candidate best XAUTO_GUARDED_BY(mutex);
+  bool any XAUTO_GUARDED_BY(mutex) = false;
+  int thread XAUTO_GUARDED_BY(mutex) = 0;  ///< whose it is
+  double first_ms XAUTO_GUARDED_BY(mutex) = 0;
 };
 
 }  // namespace
@@ -130,7 +130,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   p.lets_in = options.lets_in;
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
   Answer answer;
-  if (std::optional<Overload> proof = prove_overload(p)) {
+  if (std::optional<OverloadProof> proof = prove_overload(p)) {
     answer.outcome = Outcome::kUnsustainable;
     answer.overload = std::move(*proof);
     return answer;
@@ -169,11 +169,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
     else if (threads > 1)  // what depends on who is faster is for those who set no budget
       limits.exchange = [&](Candidate& best) {
-        const std::lock_guard<std::mutex> lock(shared.mutex);
+        const Lock lock(shared.mutex);
         if (shared.any && shared.best.figures.better_than(best.figures)) best = shared.best;
       };
     search.run(limits, options.hint, options.keep, [&](const Candidate& c) {
-      const std::lock_guard<std::mutex> lock(shared.mutex);
+      const Lock lock(shared.mutex);
       // Of equal answers that of the lowest thread, whoever came first.
       if (shared.any && !c.figures.better_than(shared.best.figures) &&
           (shared.best.figures.better_than(c.figures) || index >= shared.thread))
@@ -204,6 +204,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   }
   answer.objective_bound = objective_bound(p, finer, kMostCasesOfAll, for_finer);
   if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
+  const Lock lock(shared.mutex);
   if (!shared.any) return answer;
   answer.outcome = Outcome::kPolicy;
   answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);

@@ -50,8 +50,8 @@ enum class Outcome {
 
 struct Answer {
   Outcome outcome = Outcome::kUnknown;
-  KeyPolicy policy;   ///< kPolicy
-  Overload overload;  ///< kUnsustainable
+  KeyPolicy policy;        ///< kPolicy
+  OverloadProof overload;  ///< kUnsustainable
   /// [chain] where no policy was found, too.
   std::vector<std::int64_t> lower_bound_us;
   /// kPolicy: objective_of the policy's chains. No policy has less than the bound, which is at least

@@ -84,7 +84,7 @@ Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module
   until[at(from)] = least[at(from)];
   Tick longest = least[at(from)];
   for (const int i : p.components[at(module.component)].xnodes) {
-    for (const Link& link : p.pred[at(i)])
+    for (const EdgeEnd& link : p.pred[at(i)])
       if (until[at(link.xnode)] != kNoTick)
         until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
   }
@@ -93,7 +93,7 @@ Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module
 }
 
 /// Those with the largest shares, in tenths of a percent.
-void keep_causes(std::vector<std::pair<int, double>> shares, Overload& proof) {
+void keep_causes(std::vector<std::pair<int, double>> shares, OverloadProof& proof) {
   std::stable_sort(shares.begin(), shares.end(),
                    [](const auto& a, const auto& b) { return a.second > b.second; });
   if (shares.size() > kMostCauses) shares.resize(kMostCauses);
@@ -205,7 +205,7 @@ class Crowd {
     int last = -1;
     for (const int i : inside) {
       until[at(i)] = least[at(i)];
-      for (const Link& link : p_.pred[at(i)])
+      for (const EdgeEnd& link : p_.pred[at(i)])
         if (until[at(link.xnode)] != kNoTick &&
             until[at(link.xnode)] + least[at(i)] > until[at(i)]) {
           until[at(i)] = until[at(link.xnode)] + least[at(i)];
@@ -338,14 +338,14 @@ std::vector<std::int64_t> balancing_weights(const Problem& p) {
 
 namespace {
 
-std::optional<Overload> prove_crowd(const Problem& p) {
+std::optional<OverloadProof> prove_crowd(const Problem& p) {
   const Crowd crowd(p);
   const std::vector<std::int64_t> prices = crowd.prices();
   const std::int64_t ppm = crowd.ppm(prices);
   if (ppm <= kMillion) return std::nullopt;
   const auto types = static_cast<std::ptrdiff_t>(p.num_types);
   std::vector<std::int64_t> on_types(prices.begin(), prices.begin() + types);
-  Overload proof;
+  OverloadProof proof;
   proof.load_pct = ppm / (kMillion / 100);
   proof.text = name_of(p, on_types) + " and modules that have to end within their activations in " +
                "flight, together at least " + std::to_string(proof.load_pct) + " %";
@@ -362,14 +362,14 @@ std::optional<Overload> prove_crowd(const Problem& p) {
 
 }  // namespace
 
-std::optional<Overload> prove_overload(const Problem& p) {
+std::optional<OverloadProof> prove_overload(const Problem& p) {
   std::vector<Tick> least(at(p.num_xnodes), kNoTick);
   for (int i = 0; i < p.num_xnodes; ++i) {
     for (int m = 0; m < p.num_xpus; ++m)
       if (p.wcet(i, m) != kNoTick && (least[at(i)] == kNoTick || p.wcet(i, m) < least[at(i)]))
         least[at(i)] = p.wcet(i, m);
     if (!p.may_run[at(i)].empty()) continue;
-    Overload proof;
+    OverloadProof proof;
     proof.text = "XNode '" + p.xnode_name[at(i)] + "' takes at least " + us(p, least[at(i)]) +
                  " every " + us(p, p.period_of(i));
     proof.causes = {{i, 1000}};
@@ -381,7 +381,7 @@ std::optional<Overload> prove_overload(const Problem& p) {
     for (const int e : module.entries) {
       const Tick takes = span(p, least, module, e);
       if (takes <= module.in_flight * period) continue;
-      Overload proof;
+      OverloadProof proof;
       proof.text = "an activation is in the module of XNode '" + p.xnode_name[at(e)] +
                    "' for at least " + us(p, takes) + ", " + std::to_string(module.in_flight) +
                    " in flight allow " + us(p, module.in_flight * period);
@@ -396,7 +396,7 @@ std::optional<Overload> prove_overload(const Problem& p) {
   const std::vector<std::int64_t> weights = balancing_weights(p);
   const std::int64_t load = load_ppm(p, weights);
   if (load <= kMillion) return prove_crowd(p);
-  Overload proof;
+  OverloadProof proof;
   proof.weights = weights;
   proof.load_pct = load / (kMillion / 100);
   // Rounded down, as "at least" says.

@@ -25,7 +25,7 @@
 
 namespace xauto::solver::steady {
 
-struct Overload {
+struct OverloadProof {
   std::string text;           ///< "gpu at least 112 %"
   std::int64_t load_pct = 0;  ///< of load, or of load and spans; rounded down; 0: of a span alone
   std::vector<std::int64_t> weights;  ///< [type]; empty: of a span alone
@@ -35,7 +35,7 @@ struct Overload {
 };
 
 /// The proof, if one of these is one. Pins and forbids count.
-[[nodiscard]] std::optional<Overload> prove_overload(const Problem& problem);
+[[nodiscard]] std::optional<OverloadProof> prove_overload(const Problem& problem);
 /// The best weights found, sum kWeights: prices of the types, for constructing.
 [[nodiscard]] std::vector<std::int64_t> balancing_weights(const Problem& problem);
 inline constexpr std::int64_t kWeights = 1 << 16;

@@ -140,7 +140,7 @@ void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Win
         w.a[base + n] = std::max(least, w.hold[base + n]);
         w.e[base + n] = w.hold[base + n];
       }
-      for (const Link& link : p.pred[at(i)]) {
+      for (const EdgeEnd& link : p.pred[at(i)]) {
         const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
         const std::size_t from = at(p.slot[at(link.xnode)]);
         for (std::size_t n = 0; n < at(component.jobs); ++n) {
@@ -168,7 +168,7 @@ void derive_urgent(const Problem& p, const std::vector<int>& xpu, const Windows&
         u.d[s] = w.d[s] - c.urgent_by;
         u.e[s] = u.hold[s];
         u.a[s] = std::max({least, u.hold[s], w.a[previous] - apart});
-        for (const Link& link : p.pred[at(i)]) {
+        for (const EdgeEnd& link : p.pred[at(i)]) {
           const std::size_t from = at(p.slot[at(link.xnode)]) + n;
           const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
           u.a[s] = std::max(u.a[s], u.d[from] + passes);

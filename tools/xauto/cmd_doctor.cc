@@ -17,7 +17,7 @@ namespace {
 
 /// A platform file of this machine, for the XNodes that compute themselves.
 Status write_platform(const std::string& path) {
-  const xpu::Machine machine = xpu::Machine::here();
+  const xpu::Hardware machine = xpu::Hardware::here();
   return write_file(path, to_json(platform_of(machine, "here")));
 }
 

@@ -250,7 +250,7 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
   };
   if (options.json) {
     Json chain = Json::array();
-    for (const solver::Link& link : why.chain) {
+    for (const solver::ChainLink& link : why.chain) {
       Json behind = Json::array();
       for (int j : link.behind) behind.push_back(name(j));
       chain.push_back({{"xnode", name(link.xnode)},
@@ -273,7 +273,7 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
   }
   std::printf("%s\n\n  %-24s %-8s %10s %10s %10s   behind\n", why.sentence.c_str(), "XNode", "XPU",
               "ready ms", "runs ms", "finish ms");
-  for (const solver::Link& link : why.chain) {
+  for (const solver::ChainLink& link : why.chain) {
     std::string behind;
     for (int j : link.behind) behind += (behind.empty() ? "" : ", ") + name(j);
     std::printf("  %-24s %-8s %10.2f %10.2f %10.2f   %s\n", name(link.xnode).c_str(),

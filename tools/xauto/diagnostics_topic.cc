@@ -33,6 +33,7 @@ Result<DiagnosticsTopic> DiagnosticsTopic::open() {
 }
 
 void DiagnosticsTopic::publish(const std::vector<Diagnostic>& statuses) {
+  thread_.check();
   const auto array = std::make_shared<DiagnosticArray>();
   timespec wall{};
   clock_gettime(CLOCK_REALTIME, &wall);
@@ -50,6 +51,7 @@ void DiagnosticsTopic::publish(const std::vector<Diagnostic>& statuses) {
 }
 
 std::vector<std::string> DiagnosticsTopic::close() {
+  thread_.check();
   bridge_->stop();
   return bridge_->notes();
 }

@@ -8,6 +8,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "transport/bridge.h"
 
 #include "xauto/diagnostics.h"
@@ -25,6 +26,7 @@ class DiagnosticsTopic {
   [[nodiscard]] std::vector<std::string> close();
 
  private:
+  OneThread thread_;
   std::unique_ptr<transport::Bridge> bridge_;
   std::shared_ptr<transport::Publisher> publisher_;
   std::uint64_t number_ = 0;

@@ -26,7 +26,7 @@ Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
   for (std::string name; std::getline(names, name, ',');)
     if (!name.empty()) flags.names.push_back(name);
   flags.all = all_asked || (emulate_->given() && flags.names.empty());
-  const xpu::Machine machine = xpu::Machine::here();
+  const xpu::Hardware machine = xpu::Hardware::here();
   XAUTO_ASSIGN(std::vector<Presence> presence, xpu::presence_of(platform, flags, app, machine));
   std::string why;
   for (std::size_t i = 0; i < presence.size() && why.empty(); ++i)

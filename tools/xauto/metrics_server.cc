@@ -75,7 +75,13 @@ Result<std::unique_ptr<MetricsServer>> MetricsServer::open(const std::string& ad
   return std::unique_ptr<MetricsServer>(new MetricsServer(std::move(listener), ntohs(number)));
 }
 
+void MetricsServer::show(std::string metrics) {
+  thread_.check();
+  metrics_ = std::move(metrics);
+}
+
 void MetricsServer::add_to(std::vector<pollfd>& fds) const {
+  thread_.check();
   fds.push_back({listener_.get(), POLLIN, 0});
   for (const Client& client : clients_) {
     const bool writes = client.sent < client.answer.size();
@@ -120,6 +126,7 @@ bool MetricsServer::is_done(Client& client) const {
 }
 
 void MetricsServer::serve(std::int64_t now_ns) {
+  thread_.check();
   let_in(now_ns);
   std::erase_if(clients_, [&](Client& client) {
     return is_done(client) || now_ns - client.since_ns > kPatienceNs;

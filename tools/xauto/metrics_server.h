@@ -14,6 +14,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 
 namespace xauto::cli {
@@ -32,7 +33,7 @@ class MetricsServer {
   [[nodiscard]] static Result<std::unique_ptr<MetricsServer>> open(const std::string& address,
                                                                    int port);
   [[nodiscard]] int port() const { return port_; }
-  void show(std::string metrics) { metrics_ = std::move(metrics); }
+  void show(std::string metrics);
   /// What to wait for.
   void add_to(std::vector<pollfd>& fds) const;
   /// Lets in who has come, reads, answers.
@@ -48,6 +49,7 @@ class MetricsServer {
   MetricsServer(UniqueFd listener, int port) : listener_(std::move(listener)), port_(port) {}
   void let_in(std::int64_t now_ns);
   [[nodiscard]] bool is_done(Client& client) const;
+  OneThread thread_;
   UniqueFd listener_;
   int port_;
   std::string metrics_;

@@ -227,7 +227,7 @@ std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
 
 int tell_unsustainable(const AppSpec& app, const Platform& platform, const steady::Answer& answer,
                        const Options& options) {
-  const steady::Overload& proof = answer.overload;
+  const steady::OverloadProof& proof = answer.overload;
   Json causes = Json::array();
   std::string list;
   for (const auto& [xnode, share] : proof.causes) {

@@ -372,17 +372,17 @@ story::Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
     panel.max_us = run.latency.max_us;
   }
   if (flags.app.version == 1) panel.predicted_us = run.predicted.makespan;
-  const runtime::Release* shown = nullptr;
+  const runtime::ReleaseRecord* shown = nullptr;
   const trace::Recording& trace = run.outcome.trace;
   // What the trace no longer holds cannot be shown.
   const std::int64_t traced_from = trace.overwritten == 0 || trace.events.empty()
                                        ? 0
                                        : static_cast<std::int64_t>(trace.events.front().ts_ns);
-  for (const runtime::Release& release : run.report.releases) {
+  for (const runtime::ReleaseRecord& release : run.report.releases) {
     if (release.latency_us < 0) continue;
     panel.latencies_us.push_back(release.latency_us);
     if (release.origin_ns < traced_from) continue;
-    const auto distance = [&](const runtime::Release& r) {
+    const auto distance = [&](const runtime::ReleaseRecord& r) {
       return std::abs(r.latency_us - run.latency.p50_us);
     };
     if (shown == nullptr || distance(release) < distance(*shown)) shown = &release;

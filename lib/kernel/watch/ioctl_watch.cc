@@ -6,7 +6,6 @@
 #include <atomic>
 #include <cstdarg>
 #include <map>
-#include <mutex>
 #include <utility>
 #include <vector>
 
@@ -15,6 +14,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/mutex.h"
 #include "kernel/descriptor.h"
 #include "kernel/i915.h"
 #include "kernel/kfd.h"
@@ -27,6 +27,8 @@ namespace i915 = xauto::kernel::i915;
 namespace kfd = xauto::kernel::kfd;
 namespace rm = xauto::kernel::rm;
 
+using xauto::Lock;
+using xauto::Mutex;
 using xauto::kernel::leads_to;
 
 /// The objects of RM that say what a channel is.
@@ -41,7 +43,7 @@ class Objects {
         type != rm::kChannelGroup)
       return;
     if (root && !leads_to(fd, rm::kControlNode)) return;
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     if (root) {
       clients_[object] = {.fd = fd};
       return;
@@ -51,7 +53,7 @@ class Objects {
   }
 
   void freed(std::uint32_t client, std::uint32_t object) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     if (client == object)
       clients_.erase(client);
     else if (const auto it = clients_.find(client); it != clients_.end())
@@ -59,7 +61,7 @@ class Objects {
   }
 
   std::size_t list(xauto_watched_channel* to, std::size_t room) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     std::erase_if(clients_,
                   [](const auto& entry) { return !leads_to(entry.second.fd, rm::kControlNode); });
     std::size_t n = 0;
@@ -103,9 +105,9 @@ class Objects {
       for (const std::uint32_t child : children) free(child);
     }
   };
-  std::mutex mutex_;
-  std::uint32_t made_ = 0;
-  std::map<std::uint32_t, Client> clients_;
+  Mutex mutex_;
+  std::uint32_t made_ XAUTO_GUARDED_BY(mutex_) = 0;
+  std::map<std::uint32_t, Client> clients_ XAUTO_GUARDED_BY(mutex_);
 };
 
 /// Never destroyed: threads of other libraries call ioctl until the very end.
@@ -139,14 +141,14 @@ class Queues {
  public:
   void made(int fd, const kfd::CreateQueue& args) {
     if (!leads_to(fd, kfd::kNode)) return;
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     queues_[args.queue] = {
         fd, args.queue, args.ring_address, args.ring_size, args.percentage, args.priority,
         0,  ++made_};
   }
 
   void updated(const kfd::UpdateQueue& args) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     const auto it = queues_.find(args.queue);
     if (it == queues_.end()) return;
     xauto_watched_kfd_queue& queue = it->second;
@@ -155,12 +157,12 @@ class Queues {
   }
 
   void destroyed(std::uint32_t queue) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     queues_.erase(queue);
   }
 
   std::size_t list(xauto_watched_kfd_queue* to, std::size_t room) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     std::erase_if(queues_,
                   [](const auto& entry) { return !leads_to(entry.second.fd, kfd::kNode); });
     std::size_t n = 0;
@@ -172,9 +174,9 @@ class Queues {
   }
 
  private:
-  std::mutex mutex_;
-  std::uint32_t made_ = 0;
-  std::map<std::uint32_t, xauto_watched_kfd_queue> queues_;
+  Mutex mutex_;
+  std::uint32_t made_ XAUTO_GUARDED_BY(mutex_) = 0;
+  std::map<std::uint32_t, xauto_watched_kfd_queue> queues_ XAUTO_GUARDED_BY(mutex_);
 };
 
 Queues& queues() {
@@ -200,18 +202,18 @@ class Contexts {
     const std::string_view node = xauto::kernel::link_of(fd, context.node, sizeof context.node);
     if (!node.starts_with(i915::kFolder) || !i915::is_i915(fd, ask)) return;
     context.node[node.size()] = 0;
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     context.made = ++made_;
     contexts_[{fd, id}] = context;
   }
 
   void destroyed(int fd, std::uint32_t id) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     contexts_.erase({fd, id});
   }
 
   std::size_t list(xauto_watched_i915_context* to, std::size_t room) {
-    const std::lock_guard lock(mutex_);
+    const Lock lock(mutex_);
     std::erase_if(contexts_,
                   [](const auto& entry) { return !leads_to(entry.second.fd, entry.second.node); });
     std::size_t n = 0;
@@ -226,9 +228,10 @@ class Contexts {
   static long ask(int fd, unsigned long request, void* argument) {
     return syscall(SYS_ioctl, fd, request, argument);
   }
-  std::mutex mutex_;
-  std::uint32_t made_ = 0;
-  std::map<std::pair<int, std::uint32_t>, xauto_watched_i915_context> contexts_;
+  Mutex mutex_;
+  std::uint32_t made_ XAUTO_GUARDED_BY(mutex_) = 0;
+  std::map<std::pair<int, std::uint32_t>, xauto_watched_i915_context> contexts_
+      XAUTO_GUARDED_BY(mutex_);
 };
 
 Contexts& contexts() {

@@ -11,6 +11,8 @@
 
 #include "record/xauto_msgs.h"
 
+#include "../no_more_threads.h"
+
 namespace xauto::record {
 namespace {
 
@@ -30,17 +32,23 @@ class BackgroundTest : public testing::Test {
     EXPECT_TRUE(made && made->add_topic(app_topic("camera")));
     return std::move(*made);
   }
+  [[nodiscard]] std::unique_ptr<BackgroundRecorder> start(
+      std::size_t queue_bytes = BackgroundRecorder::kQueueBytes) const {
+    auto started = BackgroundRecorder::start(recorder(), queue_bytes);
+    EXPECT_TRUE(started);
+    return std::move(*started);
+  }
   fs::path path_;
 };
 
 TEST_F(BackgroundTest, AllMessagesAreThereInTheirEnvelope) {
   {
-    BackgroundRecorder background(recorder());
+    const auto background = start();
     for (std::uint64_t i = 0; i < 500; ++i)
-      background.write_enclosed(0, 1'700'000'000'000'000'007 + static_cast<std::int64_t>(i), i,
-                                std::vector<std::byte>(i, std::byte{1}), IfFull::kWait);
-    EXPECT_TRUE(background.close());
-    EXPECT_TRUE(background.close()) << "once more does nothing";
+      background->write_enclosed(0, 1'700'000'000'000'000'007 + static_cast<std::int64_t>(i), i,
+                                 std::vector<std::byte>(i, std::byte{1}), IfFull::kWait);
+    EXPECT_TRUE(background->close());
+    EXPECT_TRUE(background->close()) << "once more does nothing";
   }
   auto recording = Recording::open(path_.string());
   ASSERT_TRUE(recording);
@@ -89,7 +97,7 @@ TEST(XautoMsgs, ReleaseIsCdr) {
 
 // As on a full disk: the first failure ends the recording, and the caller never notices.
 TEST_F(BackgroundTest, FailureIsToldAtTheEnd) {
-  BackgroundRecorder background(recorder());
+  const auto background = start();
   rlimit before{};
   getrlimit(RLIMIT_FSIZE, &before);
   std::signal(SIGXFSZ, SIG_IGN);
@@ -99,8 +107,8 @@ TEST_F(BackgroundTest, FailureIsToldAtTheEnd) {
   for (std::size_t i = 0; i < noise.size(); ++i)
     noise[i] = static_cast<std::byte>((i * i * 2654435761u) >> 13);
   for (int i = 0; i < 10; ++i)
-    background.write_enclosed(0, i * 2'000'000'000LL, 0, noise, IfFull::kWait);
-  const Status closed = background.close();
+    background->write_enclosed(0, i * 2'000'000'000LL, 0, noise, IfFull::kWait);
+  const Status closed = background->close();
   setrlimit(RLIMIT_FSIZE, &before);
   ASSERT_FALSE(closed);
   EXPECT_EQ(closed.error().what.find("recording ended early: cannot be written: "), 0u)
@@ -110,12 +118,12 @@ TEST_F(BackgroundTest, FailureIsToldAtTheEnd) {
 // More than the queue holds, faster than any disk: what is missing is counted.
 TEST_F(BackgroundTest, WhatHasNoRoomIsCounted) {
   const std::size_t large = 1u << 20;
-  BackgroundRecorder background(recorder(), 4 * large);
+  const auto background = start(4 * large);
   constexpr int kMessages = 100;
   for (int i = 0; i < kMessages; ++i)
-    background.write_enclosed(0, i, static_cast<std::uint64_t>(i), std::vector<std::byte>(large),
-                              IfFull::kLose);
-  const Status closed = background.close();
+    background->write_enclosed(0, i, static_cast<std::uint64_t>(i), std::vector<std::byte>(large),
+                               IfFull::kLose);
+  const Status closed = background->close();
   auto recording = Recording::open(path_.string());
   ASSERT_TRUE(recording);
   EXPECT_GE(recording->num_messages(), 4u);
@@ -126,6 +134,13 @@ TEST_F(BackgroundTest, WhatHasNoRoomIsCounted) {
     EXPECT_EQ(closed.error().what, std::to_string(kMessages - recording->num_messages()) +
                                        " messages are missing: writing did not keep up");
   }
+}
+
+TEST_F(BackgroundTest, WhereThreadsEndItSaysSo) {
+  const NoMoreThreads none;
+  const auto started = BackgroundRecorder::start(recorder());
+  ASSERT_FALSE(started);
+  EXPECT_EQ(started.error().what.find("no more threads: "), 0u) << started.error().what;
 }
 
 }  // namespace

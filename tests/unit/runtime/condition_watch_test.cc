@@ -16,6 +16,8 @@
 #include <gtest/gtest.h>
 #include <stdlib.h>
 
+#include "../no_more_threads.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -56,7 +58,7 @@ class Points {
       tables.serves.push_back({point.loses ? 1 : 0, point.worst_case_us, 1});
     }
   }
-  [[nodiscard]] Machine in(const Files& files) const {
+  [[nodiscard]] MachineState in(const Files& files) const {
     return machine_in(tables, ScenarioOrder(app, tables), files.reader());
   }
   AppSpec app;
@@ -131,7 +133,7 @@ TEST(Conditions, NothingIsLostAtFullClockAndMostOutside) {
     for (const auto& [clock, pct] : std::map<std::string, std::string>{
              {"1000", "100 %"}, {"999", "150 %"}, {"400", "300 %"}, {"200", "500 %"}}) {
       files.text["/clock"] = clock;
-      const Machine machine = points.in(files);
+      const MachineState machine = points.in(files);
       ASSERT_GE(machine.scenario, 0);
       EXPECT_EQ(points.tables.scenarios[static_cast<std::size_t>(machine.scenario)].name, pct)
           << clock << ", " << worst[2];
@@ -154,7 +156,7 @@ TEST(Conditions, WhatIsOutsideIsNamedWithTheLimitThatItPasses) {
                  {200, 20, false, {{"/clock", 600, 1000, {}}, {"/mode", {}, {}, "MAXN"}}}});
   Files files;
   files.text = {{"/clock", "318\n"}, {"/mode", "MAXN\n"}};
-  Machine machine = points.in(files);
+  MachineState machine = points.in(files);
   ASSERT_EQ(machine.outside.size(), 1u);
   EXPECT_EQ(machine.outside[0].file, "/clock");
   EXPECT_EQ(machine.outside[0].words, "/clock is 318, every scenario needs at least 600");
@@ -220,10 +222,17 @@ class Watched : public testing::Test {
     std::filesystem::create_symlink(other + "/cur_freq", file());
   }
   /// What the watch says, once it says something else than `before`.
-  static Machine next(const ConditionWatch& watch, bool outside) {
+  static MachineState next(const ConditionWatch& watch, bool outside) {
     while (watch.now().outside.empty() == outside)
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     return watch.now();
+  }
+
+  [[nodiscard]] std::unique_ptr<ConditionWatch> start(const ConditionWatch::Timing& timing,
+                                                      ConditionWatch::Glance glance) {
+    auto started = ConditionWatch::start(tables_, order(), timing, std::move(glance));
+    EXPECT_TRUE(started);
+    return std::move(*started);
   }
 
   std::string folder_;
@@ -234,30 +243,28 @@ class Watched : public testing::Test {
 
 TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
   // Nothing but inotify can end these waits within the test's time limit.
-  const ConditionWatch watch(tables_, order(), {kNeverNs, kNeverNs},
-                             [](const Machine&) { return false; });
-  EXPECT_TRUE(watch.now().outside.empty());
+  const auto watch = start({kNeverNs, kNeverNs}, [](const MachineState&) { return false; });
+  EXPECT_TRUE(watch->now().outside.empty());
   put("100");
-  EXPECT_EQ(next(watch, true).scenario, 0);
+  EXPECT_EQ(next(*watch, true).scenario, 0);
   replace("900");
-  next(watch, false);
+  next(*watch, false);
   put("100");  // into the file that took its place
-  next(watch, true);
+  next(*watch, true);
 }
 
 TEST_F(Watched, AFileOfTheKernelIsReadByTheClock) {
   hide_writes();
-  const ConditionWatch watch(tables_, order(), {1'000'000, kNeverNs},
-                             [](const Machine&) { return false; });
+  const auto watch = start({1'000'000, kNeverNs}, [](const MachineState&) { return false; });
   put("100");
-  next(watch, true);
+  next(*watch, true);
 }
 
 TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   hide_writes();
   std::atomic<bool> too_long{false}, told{false};
   std::atomic<int> glances{0};
-  const ConditionWatch watch(tables_, order(), {kNeverNs, 1'000'000}, [&](const Machine& machine) {
+  const auto watch = start({kNeverNs, 1'000'000}, [&](const MachineState& machine) {
     ++glances;
     if (!machine.outside.empty()) told = true;
     return too_long.load();
@@ -265,7 +272,7 @@ TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   while (glances < 2) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   put("100");  // the first read is over, and no other is due
   too_long = true;
-  EXPECT_FALSE(next(watch, true).outside.empty());
+  EXPECT_FALSE(next(*watch, true).outside.empty());
   while (!told) std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
@@ -274,7 +281,7 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
   const auto begin = std::chrono::steady_clock::now();
   int writes = 0;
   {
-    const ConditionWatch watch(tables_, order(), {kNeverNs, kNeverNs}, [&](const Machine&) {
+    const auto watch = start({kNeverNs, kNeverNs}, [&](const MachineState&) {
       ++glances;
       return false;
     });
@@ -283,6 +290,14 @@ TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
   }
   const auto took = std::chrono::steady_clock::now() - begin;
   EXPECT_LE(glances, took / std::chrono::nanoseconds(kHeardApartNs) + 2) << writes << " writes";
+}
+
+TEST_F(Watched, WhereThreadsEndItSaysSo) {
+  const NoMoreThreads none;
+  const auto watch = ConditionWatch::start(tables_, order(), {kNeverNs, kNeverNs},
+                                           [](const MachineState&) { return false; });
+  ASSERT_FALSE(watch);
+  EXPECT_EQ(watch.error().what.find("no more threads: "), 0u) << watch.error().what;
 }
 
 TEST_F(Watched, OtherFilesOfTheFolderAreNobodysBusiness) {

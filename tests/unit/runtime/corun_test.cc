@@ -9,6 +9,8 @@
 #include "base/futex.h"
 #include "base/rt.h"
 
+#include "../no_more_threads.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -66,7 +68,9 @@ TEST(Corun, AStepThatFailsEndsItAndSoDoesAStop) {
 
 TEST(Corun, ACoreIsLoadedAgainAndAgain) {
   const std::vector<int> cores = rt::allowed_cores();
-  const auto load = load_of_core(cores.back(), cores.size());
+  const auto made = load_of_core(cores.back(), cores.size());
+  ASSERT_TRUE(made);
+  Load* const load = made->get();
   for (int round = 0; round < 3; ++round) {
     ASSERT_TRUE(load->on(-1));
     load->off();
@@ -74,14 +78,24 @@ TEST(Corun, ACoreIsLoadedAgainAndAgain) {
   ASSERT_TRUE(load->on(-1)) << "and ends while it is on";
 }
 
+TEST(Corun, WhereThreadsEndALoadSaysSo) {
+  const NoMoreThreads none;
+  const auto load = load_of_core(rt::allowed_cores().back(), 1);
+  ASSERT_FALSE(load);
+  EXPECT_EQ(load.error().what.find("no more threads: "), 0u) << load.error().what;
+}
+
 TEST(Corun, WhoCannotBeginSaysWhy) {
   const auto load = load_of_core(100'000, 1);
-  const Status on = load->on(-1);
+  ASSERT_TRUE(load);
+  const Status on = (*load)->on(-1);
   ASSERT_FALSE(on);
   EXPECT_NE(on.error().what.find("core"), std::string::npos);
-  load->off();
+  (*load)->off();
   // No emulator in this process.
-  EXPECT_FALSE(load_of_emulated({"gpu0", XPU::GPU, 0}, rt::allowed_cores())->on(-1));
+  const auto emulated = load_of_emulated({"gpu0", XPU::GPU, 0}, rt::allowed_cores());
+  ASSERT_TRUE(emulated);
+  EXPECT_FALSE((*emulated)->on(-1));
 }
 
 TEST(Corun, AClassIsAllOfItsTypeButTheStagesOwn) {

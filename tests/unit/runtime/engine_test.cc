@@ -27,7 +27,7 @@ TEST(Engine, RunsEveryXNodeOfEveryRelease) {
     ASSERT_TRUE(report) << report.error().to_string();
     EXPECT_TRUE(report->complete);
     EXPECT_EQ(report->releases.size(), 50u);
-    for (const Release& release : report->releases) EXPECT_GE(release.latency_us, 0);
+    for (const ReleaseRecord& release : report->releases) EXPECT_GE(release.latency_us, 0);
     for (const char* node : {"a1", "a2", "b1", "c1"})
       EXPECT_EQ(count(app.log(), node), 50u) << node;
   }
@@ -60,7 +60,7 @@ TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
   EXPECT_TRUE(report->complete);
   EXPECT_EQ(report->releases.size(), 50u);
   std::uint64_t lost = 0;
-  for (const Release& release : report->releases) lost += release.latency_us < 0 ? 1 : 0;
+  for (const ReleaseRecord& release : report->releases) lost += release.latency_us < 0 ? 1 : 0;
   EXPECT_EQ(lost, 21u);
   EXPECT_EQ(report->modules[0].failed, 10u);
   EXPECT_EQ(report->modules[1].failed, 10u);

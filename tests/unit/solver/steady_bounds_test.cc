@@ -45,7 +45,7 @@ struct Exhaustion {
     if (next == order.size()) return judge();
     const int i = order[next];
     Tick least = p.wcet(i, xpu[at(i)]);
-    for (const Link& l : p.pred[at(i)])
+    for (const EdgeEnd& l : p.pred[at(i)])
       least = std::max(least, w.d[at(p.slot[at(l.xnode)])] + p.wcet(i, xpu[at(i)]));
     for (Tick hold = 0; hold <= (p.reads[at(i)] != 0 ? 4 : 0); hold += 2)
       for (Tick d = std::max(least, hold + p.wcet(i, xpu[at(i)])); d <= most; ++d) {

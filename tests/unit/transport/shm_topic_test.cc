@@ -10,7 +10,10 @@
 
 #include <gtest/gtest.h>
 
+#include "base/memory_file.h"
 #include "transport/receiver.h"
+
+#include "../no_more_threads.h"
 
 namespace xauto::transport {
 namespace {
@@ -241,6 +244,15 @@ TEST(ShmTopic, HostileWordsNeitherCrashNorHangTheOthers) {
   }
 }
 
+TEST(Receiver, WhereThreadsEndItSaysSo) {
+  Doorbell bell;
+  Receiver receiver(bell);
+  const NoMoreThreads none;
+  const Status started = receiver.start([] {});
+  ASSERT_FALSE(started);
+  EXPECT_EQ(started.error().what.find("no more threads: "), 0u) << started.error().what;
+}
+
 TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
   constexpr std::uint64_t kMessages = 20'000;
   World world(3, 4, 3);
@@ -265,7 +277,7 @@ TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
       for (const std::uint64_t word : f.words) torn[s] += word != e.sequence ? 1 : 0;
       if (s == 1 && e.sequence % 64 == 0) std::this_thread::yield();
     });
-    receivers[s]->start([] {});
+    ASSERT_TRUE(receivers[s]->start([] {}));
   }
   for (std::uint64_t k = 0; k < kMessages; ++k) world.publish(k);
   for (std::size_t s = 0; s < 3; ++s) {

@@ -101,7 +101,7 @@ TEST_F(I915Test, TheDriverSaysHowManyLevelsThereAre) {
       const Xpu gpu{"gpu0", "gpu"};
       EXPECT_EQ(discipline_of(gpu, false), c.levels > 0 ? Discipline::kLevels : Discipline::kGate);
       EXPECT_EQ(levels_of(gpu, false), c.levels);
-      const Platform here = platform_of(Machine::here(), "here");
+      const Platform here = platform_of(Hardware::here(), "here");
       const Xpu& found = here.xpus[static_cast<std::size_t>(here.find("gpu0"))];
       EXPECT_EQ(found.levels, c.levels);
       EXPECT_EQ(found.preemptive, c.levels > 0);

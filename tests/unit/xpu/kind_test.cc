@@ -56,19 +56,19 @@ TEST(Kind, ANewOneIsARowAndABackend) {
       if (f.id == "fpga") return f;
     return kernel::Finding{};
   };
-  Platform here = platform_of(Machine::here(table), "here", table);
+  Platform here = platform_of(Hardware::here(table), "here", table);
   const int absent = here.find("fpga0");
   ASSERT_GE(absent, 0);
   EXPECT_EQ(here.xpus[static_cast<std::size_t>(absent)].emulated, std::optional(true));
   EXPECT_EQ(probed().verdict, kernel::Verdict::kMissing);
   EXPECT_EQ(probed().found, "no xdma device node");
   std::ofstream(node) << "";
-  here = platform_of(Machine::here(table), "here", table);
+  here = platform_of(Hardware::here(table), "here", table);
   const Xpu fpga = here.xpus[static_cast<std::size_t>(here.find("fpga0"))];
   EXPECT_FALSE(fpga.emulated.has_value());
   EXPECT_EQ(fpga.preempt_us, 77);
   EXPECT_EQ(probed().verdict, kernel::Verdict::kOk);
-  EXPECT_TRUE(Machine::here(table).has(here, static_cast<std::size_t>(here.find("fpga0")), table));
+  EXPECT_TRUE(Hardware::here(table).has(here, static_cast<std::size_t>(here.find("fpga0")), table));
 
   // Scheduled by its discipline, suspended by its backend.
   EXPECT_EQ(discipline_of(fpga, false, false, table), Discipline::kPreemptive);
@@ -147,7 +147,7 @@ TEST(Kind, ATypeMayHaveARowForEachDriver) {
   EXPECT_EQ(kind_of("dla", table).driver, "otherdla");
   ASSERT_EQ(probed().size(), 1u);
   EXPECT_EQ(probed()[0].meaning, "another DLA, suspended by other");
-  const Platform here = platform_of(Machine::here(table), "here", table);
+  const Platform here = platform_of(Hardware::here(table), "here", table);
   EXPECT_EQ(here.instances_of("dla").size(), 1u);
   EXPECT_EQ(here.xpus[static_cast<std::size_t>(here.find("dla0"))].preempt_us, 5);
   fs::remove(node);

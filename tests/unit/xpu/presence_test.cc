@@ -7,8 +7,8 @@
 namespace xauto::xpu {
 namespace {
 
-const Machine kLaptop{.cores = 2, .devices = {}};
-const Machine kOrin{.cores = 4, .devices = {"gpu", "dla"}};
+const Hardware kLaptop{.cores = 2, .devices = {}};
+const Hardware kOrin{.cores = 4, .devices = {"gpu", "dla"}};
 
 AppSpec app(std::set<std::string, std::less<>> real_on) {
   AppSpec spec;
@@ -19,7 +19,7 @@ AppSpec app(std::set<std::string, std::less<>> real_on) {
 }
 
 /// cpu0..cpu3 gpu0 dla0, a letter each.
-std::string of_small(const EmulationFlags& flags, const AppSpec* spec, const Machine& machine,
+std::string of_small(const EmulationFlags& flags, const AppSpec* spec, const Hardware& machine,
                      const Platform& platform = *Platform::builtin("small")) {
   const auto presence = presence_of(platform, flags, spec, machine);
   if (!presence) return presence.error().to_string();
@@ -35,7 +35,7 @@ TEST(Presence, WithoutFlagsWhatTheMachineLacksIsEmulatedAndTheRestAsTheAppNeedsI
   EXPECT_EQ(of_small({}, &both, kLaptop), "rreeee") << "no app makes a GPU";
   EXPECT_EQ(of_small({}, nullptr, kLaptop), "??eeee") << "profile learns from init";
   EXPECT_EQ(of_small({}, &stand_ins, kOrin), "rrrrrr") << "all is there: nothing is emulated";
-  const Machine no_dla{.cores = 4, .devices = {"gpu"}};
+  const Hardware no_dla{.cores = 4, .devices = {"gpu"}};
   EXPECT_EQ(of_small({}, &both, no_dla), "rrrrre");
   EXPECT_EQ(of_small({}, &computes, no_dla), "rrrree");
 }
@@ -83,7 +83,7 @@ TEST(Presence, IsSaidInWords) {
 }
 
 TEST(Presence, ThePlatformOfAMachineHasNothingThatIsNotThereUnlessEmulated) {
-  for (const Machine& machine : {kLaptop, kOrin}) {
+  for (const Hardware& machine : {kLaptop, kOrin}) {
     const Platform here = platform_of(machine, "here");
     ASSERT_TRUE(validate(here));
     EXPECT_EQ(here.instances_of("cpu").size(), machine.cores);
