@@ -241,7 +241,9 @@ class FedByKeys(Peers):
             self.assertNotIn("as they come", broken)
             numbers = sorted(int(k) for k in self.results()["d"])
             self.assertEqual(len(numbers), modules["D"]["activations"])
-            self.assertEqual(numbers[-1] - numbers[0] + 1, modules["D"]["activations"] + left_out)
+            # What was left out before the first or behind the last result is in no gap.
+            between = numbers[-1] - numbers[0] + 1 - modules["D"]["activations"]
+            self.assertTrue(0 <= between <= left_out, (numbers, left_out))
 
     def test_who_stops_feeding_costs_releases_not_the_run(self):
         run, broken, _ = self.feed_by_keys(self.PERIOD_US, 15)
