@@ -343,7 +343,7 @@ EmulationScript random_script(std::mt19937& random) {
 TEST(Script, AgreesWithASecondSimulatorNanosecondByNanosecond) {
   std::map<int, int> kinds;
   int deaths = 0;
-  const unsigned seeds = std::getenv("XAUTO_FULL") != nullptr ? 600 : 16;
+  const unsigned seeds = std::getenv("XAUTO_FULL") != nullptr ? 600 : 24;
   for (unsigned seed = 0; seed < seeds && !HasFailure(); ++seed) {
     SCOPED_TRACE(seed);
     std::mt19937 random(seed);
