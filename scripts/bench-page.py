@@ -15,6 +15,7 @@ import shutil
 import statistics
 import subprocess
 import sys
+import textwrap
 import time
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -36,7 +37,7 @@ def machine():
                  platform.machine())
     virtual = text_of("systemd-detect-virt", "--vm").replace("none", "") or ("yes" if "hypervisor" in info else "none seen")
     memory = int(pathlib.Path("/proc/meminfo").read_text().split()[1]) // 1024
-    changed = text_of("git", "status", "--porcelain", "--untracked-files=no")
+    changed = text_of("git", "status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs/results")
     return [("CPU", f"{model}, {os.cpu_count()} cores"), ("memory", f"{memory} MiB"), ("virtual machine", virtual),
             ("kernel", platform.release()), ("compiler", text_of("c++", "--version").split("\n")[0]),
             ("revision", (text_of("git", "rev-parse", "--short", "HEAD") or "unknown") + (", with changes" if changed else "")),
@@ -67,7 +68,7 @@ class Bench:
         return result.stdout
 
     def section(self, title, kind, what):
-        self.page += [f"## {title}", "", f"*{KINDS[kind]}* {what}", ""]
+        self.page += [f"## {title}", "", *textwrap.wrap(f"*{KINDS[kind]}* {what}", 120, break_long_words=False, break_on_hyphens=False), ""]
 
     def table(self, head, rows):
         self.page += ["| " + " | ".join(head) + " |", "| --- |" + " --: |" * (len(head) - 1)]
