@@ -25,7 +25,7 @@ tables=$build/demo/tables
 mkdir -p "$tables"
 driving=(--app examples/driving/app.json --platform small)
 "$build"/bin/xauto solve "${driving[@]}" --time-limit-s 2 --out "$tables"/one.json >/dev/null
-"$build"/bin/xauto solve "${driving[@]}" --scenarios examples/driving/scenarios.json --tables 2 --time-limit-s 6 \
+"$build"/bin/xauto solve "${driving[@]}" --scenarios examples/driving/scenarios.json --tables 2 --time-limit-s 3 \
   --out "$tables"/two.json >"$tables"/solve.log
 # Releases that do not meet, as the tables' worst cases have it.
 for policy in one two; do
