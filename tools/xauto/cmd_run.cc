@@ -57,10 +57,10 @@ std::string refused_by_check(const OneRunFlags& flags, const PolicyRun& run) {
   }
   if (!run.tables && !run.policy->worst_case_us) return {};  // a run holds nothing else against it
   // What is refuted at once. Bounds on all policies are no concern of a run.
-  constexpr solver::VerifyOptions kAtOnce{.executions = 100, .proof_nodes = 0, .schedules = 0};
+  const solver::VerifyOptions at_once{.executions = 100, .proof_nodes = 0, .schedules = 0};
   const std::vector<std::string> lies =
-      run.tables ? solver::verify_tables(flags.app, flags.spec, *run.tables, kAtOnce).lies
-                 : solver::verify(flags.app, flags.spec, *run.policy, kAtOnce).lies;
+      run.tables ? solver::verify_tables(flags.app, flags.spec, *run.tables, at_once).lies
+                 : solver::verify(flags.app, flags.spec, *run.policy, at_once).lies;
   return lies.empty() ? "" : lies.front();
 }
 
