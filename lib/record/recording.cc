@@ -189,7 +189,7 @@ Result<Recording> Recording::open(const std::string& given) {
     any = true;
   }
   if (!any && first) return tl::unexpected<Error>(std::move(*first));
-  const std::string why = r.note_.empty() ? "" : ": " + r.note_;
+  const std::string why = found.folder && !r.note_.empty() ? ": " + r.note_ : "";
   if (r.topics_.empty()) return fail(ErrorCode::kInvalid, "has no topics" + why, r.path_);
   if (r.num_messages_ == 0) return fail(ErrorCode::kInvalid, "has no messages" + why, r.path_);
   for (const std::string& name : found.named)

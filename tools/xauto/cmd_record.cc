@@ -97,7 +97,7 @@ int print_check(const std::string& path, const Contents& c, const Options& optio
   else if (c.note.empty())
     std::cout << fmt::format("{}: all {} messages can be read\n", path, c.num_messages);
   else
-    std::cout << fmt::format("{}: {} messages can be read, and that is not all that was recorded\n",
+    std::cout << fmt::format("{}: all {} messages that are there can be read; more were recorded\n",
                              path, c.num_messages);
   return c.note.empty() ? kDone : kAnswerIsNo;
 }
