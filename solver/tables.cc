@@ -39,6 +39,12 @@ constexpr std::int64_t kTableMovesPerLook = 64, kMovesPerHeating = 16'384;
 /// many places at most.
 constexpr std::uint64_t kOneInMoves = 3;
 constexpr int kNearby = 4;
+/// Of those to another XPU, one in so many exchanges the XPUs of two XNodes.
+constexpr std::uint64_t kOneExchanges = 2;
+/// Every table is tried where they are at most so many, each under each scenario, of so few XNodes; and
+/// where of those that are best under something at most so many are left.
+constexpr double kMostTried = 300'000;
+constexpr std::size_t kMostOrdered = 10, kMostBest = 300;
 
 struct TableCandidate {
   std::vector<int> xpu, sequence;  ///< of what its loss leaves
@@ -66,10 +72,12 @@ class TablesSearch {
 
   Result<Tables> run() {
     XAUTO_TRY(solve_each());
+    const bool all = lossy_.size() == 1 && try_all();
+    if (options_.tried_all != nullptr) *options_.tried_all = all;
     TableChoice best = choose();
     for (int round = 0; (options_.max_evaluations == 0 || round < kTableRounds) && !run_.over();
          ++round) {
-      if (best.worst == kCannotServe || best.worst <= run_.goal()) break;
+      if (all || best.worst == kCannotServe || best.worst <= run_.goal()) break;
       improve(best);
       TableChoice next = choose();
       if (next.worst < best.worst || next.chosen.size() < best.chosen.size()) best = next;
@@ -210,6 +218,89 @@ class TablesSearch {
     return run_.fewer_instances(regrets(), xpu, choice);
   }
 
+  /// Every assignment with every order of what nothing is taken from, where they are few. Candidates are
+  /// those that no other one beats under all scenarios.
+  bool try_all() {
+    const Problem& any = lossy_.front().problems.front();
+    const std::size_t n = at(any.num_xnodes);
+    std::vector<std::vector<int>> orders;
+    std::vector<int> order;
+    if (n > kMostOrdered || !all_orders(any, order, orders)) return false;
+    std::vector<std::vector<int>> may(n);
+    double tables = static_cast<double>(orders.size() * scenarios_.size());
+    for (std::size_t i = 0; i < n; ++i) {
+      for (int m = 0; m < any.num_xpus; ++m)
+        if (std::ranges::any_of(lossy_.front().problems, [&](const Problem& problem) {
+              return problem.wcet_on(static_cast<int>(i), m) != kCannotRun;
+            }))
+          may[i].push_back(m);
+      tables *= static_cast<double>(may[i].size());
+    }
+    if (tables > kMostTried) return false;
+    std::vector<OrderedEvaluator> evaluators;
+    for (const Problem& problem : lossy_.front().problems) evaluators.emplace_back(problem);
+    std::vector<TableCandidate> best;
+    std::vector<std::size_t> choice(n, 0);
+    for (std::size_t i = 0; i < n;) {
+      TableCandidate table;
+      for (std::size_t k = 0; k < n; ++k) table.xpu.push_back(may[k][choice[k]]);
+      for (const std::vector<int>& sequence : orders) {
+        table.sequence = sequence;
+        rate(table, evaluators);
+        keep_if_best(table, best);
+      }
+      if (best.size() > kMostBest || (options_.stop != nullptr && options_.stop->load()))
+        return false;
+      for (i = 0; i < n && ++choice[i] == may[i].size(); ++i) choice[i] = 0;
+    }
+    for (TableCandidate& table : best) {
+      table.regret.clear();
+      add(std::move(table));
+    }
+    return true;
+  }
+
+  /// Each linear extension that begins with `order`. False: they are too many.
+  static bool all_orders(const Problem& problem, std::vector<int>& order,
+                         std::vector<std::vector<int>>& orders) {
+    if (order.size() == at(problem.num_xnodes)) {
+      orders.push_back(order);
+      return static_cast<double>(orders.size()) <= kMostTried;
+    }
+    const auto placed = [&](int i) { return std::ranges::find(order, i) != order.end(); };
+    for (int i = 0; i < problem.num_xnodes; ++i) {
+      if (placed(i) || !std::ranges::all_of(problem.pred[at(i)], placed)) continue;
+      order.push_back(i);
+      const bool few = all_orders(problem, order, orders);
+      order.pop_back();
+      if (!few) return false;
+    }
+    return true;
+  }
+
+  void rate(TableCandidate& table, std::vector<OrderedEvaluator>& evaluators) const {
+    table.regret.clear();
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
+      if (!runs(table, s)) {
+        table.regret.push_back(kCannotServe);
+        continue;
+      }
+      evaluators[s].reset(table.xpu, table.sequence);
+      table.regret.push_back(static_cast<double>(evaluators[s].makespan()) /
+                             static_cast<double>(bound_[s]));
+    }
+  }
+
+  static void keep_if_best(const TableCandidate& table, std::vector<TableCandidate>& best) {
+    const auto no_worse = [](const TableCandidate& a, const TableCandidate& b) {
+      return std::ranges::equal(a.regret, b.regret, std::ranges::less_equal());
+    };
+    if (std::ranges::any_of(best, [&](const auto& other) { return no_worse(other, table); }))
+      return;
+    std::erase_if(best, [&](const auto& other) { return no_worse(table, other); });
+    best.push_back(table);
+  }
+
   /// One candidate more for each group of scenarios that a table serves, and for each with one more
   /// of those that limit.
   void improve(const TableChoice& choice) {
@@ -284,13 +375,19 @@ class TablesSearch {
       const int i = !chain.empty() && random.below(2) == 0 ? chain[random.below(chain.size())]
                                                            : static_cast<int>(random.below(n));
       const bool moves = random.below(kOneInMoves) == 0;
-      int to = -1;
+      int to = -1,
+          with = -1;  // an XPU or a position; whose XPU it is that takes this one's instead
+      const std::vector<int>& xpu = evaluators[0].xpu();
+      const int from_xpu = xpu[at(i)];
       if (moves) {
-        to = static_cast<int>(random.below(platform_.xpus.size()));
-        const bool runs = std::all_of(group.begin(), group.end(), [&](int s) {
-          return problem(candidates_[at(from)], at(s)).wcet_on(i, to) != kCannotRun;
-        });
-        if (!runs || to == evaluators[0].xpu()[at(i)]) continue;
+        const auto runs_on = [&](int node, int m) {
+          return std::all_of(group.begin(), group.end(), [&](int s) {
+            return problem(candidates_[at(from)], at(s)).wcet_on(node, m) != kCannotRun;
+          });
+        };
+        if (random.below(kOneExchanges) == 0) with = static_cast<int>(random.below(n));
+        to = with >= 0 ? xpu[at(with)] : static_cast<int>(random.below(platform_.xpus.size()));
+        if (to == from_xpu || !runs_on(i, to) || (with >= 0 && !runs_on(with, from_xpu))) continue;
       } else {
         to = static_cast<int>(random.below(n));
         if (random.below(2) == 0) {  // nearby
@@ -311,6 +408,7 @@ class TablesSearch {
           evaluator.assign(i, to);
         else
           evaluator.reposition(i, to);
+        if (with >= 0) evaluator.assign(with, from_xpu);
         ++tried;
         const auto most = static_cast<Time>(limit * static_cast<double>(bound_[at(group[k])])) + 1;
         within = evaluator.evaluate(most) != kNever;

@@ -12,7 +12,8 @@
 //  3. Each chosen table is annealed for the scenarios that it serves, all of them at once: the
 //     largest makespan / bound falls. What comes of it is one more candidate. Then 2 again.
 //
-// The bounds are proven, the worst cases certified; that no other K tables are better is not.
+// Where the app is small, every table of it is a candidate instead: each assignment, each order. No other
+// tables are better then. Else the bounds are proven, the worst cases certified, and that is not.
 //
 // Where a scenario is degraded, and no policy was found there that ends a release in the time that it
 // has, the app loses the least with which one was (least_loss.h); where all that it may lose does not
@@ -41,6 +42,8 @@ struct TablesOptions {
   int threads = 1;
   std::uint64_t seed = 1;
   const std::atomic<bool>* stop = nullptr;
+  /// Filled in if not null: whether every table was tried, so that as many others are no better.
+  bool* tried_all = nullptr;
   /// From the calling thread: how many scenarios are solved, or the largest regret so far.
   std::function<void(double elapsed_s, int scenarios_solved, double worst_regret)> on_progress;
 };

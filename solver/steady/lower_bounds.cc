@@ -7,6 +7,7 @@
 
 #include "solver/bounds.h"
 #include "solver/steady/load_bound.h"
+#include "solver/steady/unpackable.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -110,6 +111,86 @@ std::vector<LoadWay> ways_of(const Problem& p, const Chain& chain) {
   return ways;
 }
 
+/// Theorem 12: from the nominal release to the end of an XNode, of a release whose way meets a long piece of
+/// work on an XPU that does not preempt.
+class Pieces {
+ public:
+  Pieces(const Problem& p, const std::vector<Tick>& least, const std::vector<Tick>& ends)
+      : p_(p), least_(least), ends_(ends), longest_(at(p.num_xpus), 0) {
+    for (int i = 0; i < p.num_xnodes; ++i)
+      for (const int m : p.may_run[at(i)])
+        if (p.preemptive[at(m)] == 0) longest_[at(m)] = std::max(longest_[at(m)], p.wcet(i, m));
+  }
+
+  [[nodiscard]] Tick bound(int to, const Until& until) const {
+    Tick bound = ends_[at(to)];
+    std::vector<Tick> rest(at(p_.num_xnodes), kNoTick);  // from the end of each to that of `to`
+    rest[at(to)] = 0;
+    const std::vector<int>& all = p_.components[at(p_.component_of[at(to)])].xnodes;
+    for (auto i = all.rbegin(); i != all.rend() && !until.over(); ++i) {
+      for (const EdgeEnd& link : p_.succ[at(*i)])
+        if (rest[at(link.xnode)] != kNoTick)
+          rest[at(*i)] = std::max(rest[at(*i)], rest[at(link.xnode)] + least_[at(link.xnode)]);
+      if (rest[at(*i)] != kNoTick) bound = std::max(bound, through(*i, rest[at(*i)], bound, until));
+    }
+    return bound;
+  }
+
+ private:
+  /// Looks of one question whether an XNode may have an XPU without the long ones.
+  static constexpr std::int64_t kLooks = 20'000;
+
+  /// Without anybody in the way, on this XPU.
+  [[nodiscard]] Tick alone(int x, int m, Tick rest) const {
+    return ends_[at(x)] - least_[at(x)] + p_.wcet(x, m) + rest;
+  }
+  [[nodiscard]] Tick behind(int x, int m, Tick rest, Tick piece) const {
+    return alone(x, m, rest) + piece + p_.wcet(x, m) - p_.period_of(x);
+  }
+
+  /// Above `known`, or that.
+  [[nodiscard]] Tick through(int x, Tick rest, Tick known, const Until& until) const {
+    std::vector<Tick> values;
+    for (const int m : p_.may_run[at(x)]) {
+      const Tick most = longest_[at(m)] == 0 ? 0 : behind(x, m, rest, longest_[at(m)]);
+      if (std::max(alone(x, m, rest), most) <= known) return known;
+      values.push_back(alone(x, m, rest));
+      for (int b = 0; p_.preemptive[at(m)] == 0 && b < p_.num_xnodes; ++b)
+        if (b != x && p_.wcet(b, m) != kNoTick) values.push_back(behind(x, m, rest, p_.wcet(b, m)));
+    }
+    std::sort(values.begin(), values.end());
+    values.erase(values.begin(), std::upper_bound(values.begin(), values.end(), known));
+    values.erase(std::unique(values.begin(), values.end()), values.end());
+    std::size_t proven = 0, open = values.size();  // of the values, those below
+    while (proven < open && !until.over()) {
+      const std::size_t middle = (proven + open) / 2;
+      if (holds(x, rest, values[middle]))
+        proven = middle + 1;
+      else
+        open = middle;
+    }
+    return proven == 0 ? known : values[proven - 1];
+  }
+
+  /// Whether on each XPU it takes that long, or cannot be there without a piece by which it does.
+  [[nodiscard]] bool holds(int x, Tick rest, Tick value) const {
+    return std::all_of(p_.may_run[at(x)].begin(), p_.may_run[at(x)].end(), [&](int m) {
+      if (alone(x, m, rest) >= value) return true;
+      if (p_.preemptive[at(m)] != 0) return false;
+      std::vector<int> apart;
+      for (int b = 0; b < p_.num_xnodes; ++b)
+        if (b != x && p_.wcet(b, m) != kNoTick && behind(x, m, rest, p_.wcet(b, m)) >= value)
+          apart.push_back(b);
+      return !apart.empty() && cannot_place(p_, x, m, apart, kLooks);
+    });
+  }
+
+  const Problem& p_;
+  const std::vector<Tick>& least_;
+  const std::vector<Tick>& ends_;
+  std::vector<Tick> longest_;  ///< [xpu] that does not preempt, of all that may be there
+};
+
 /// A part of the time that is left, so that others have theirs.
 Until share_of(const Until& until, std::size_t parts) {
   Until share = until;
@@ -167,16 +248,23 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
     it->second = std::max(it->second, earliest + quick_bound(*base, until) * p.scale);
     return it->second;
   };
+  const Pieces pieces(p, least, ends);
+  std::map<int, Tick> piece;
   std::vector<Tick> bounds;
   for (const Chain& chain : p.chains) {
     Tick bound = 0;
     const std::vector<LoadWay> ways = ways_of(p, chain);
     for (const LoadWay& way : ways) {
-      Tick work = bound_of(way.pieces.front().to);
+      const int first = way.pieces.front().to;
+      const auto [late, fresh] = piece.emplace(first, 0);
+      if (fresh) late->second = pieces.bound(first, until);
+      Tick behind = 0;
       for (std::size_t q = 1; q < way.pieces.size(); ++q)
-        work +=
+        behind +=
             std::max(Tick{0}, least_way(p, least, way.pieces[q].from.front(), way.pieces[q].to));
-      bound = std::max(bound, work + way.waits);
+      bound = std::max({bound, bound_of(first) + behind + way.waits,
+                        late->second + behind -
+                            (chain.offset - p.components[at(p.component_of[at(first)])].phase)});
     }
     if (!until.over())
       bound = std::max(bound, load_bound(p, ways, most_cases,

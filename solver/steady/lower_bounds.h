@@ -9,6 +9,9 @@
 //   source of period T_u, of which the oldest waits (ceil(T / T_u) - 1) T_u longer than the newest.
 //   Into a clock that the way has not been on: a whole period of the reader, as every certificate
 //   counts it. docs/steady-state.md has the proofs.
+//
+// Where an XPU does not preempt, and an XNode of the first component has to share it with one that takes
+// longer than a period leaves, some release waits (theorem 12). Not all do, so no waits are added.
 #pragma once
 
 #include <vector>

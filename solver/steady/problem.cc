@@ -249,7 +249,21 @@ struct Builder {
         p.wcet_flat.push_back(work);
         if (work != kNoTick && work <= p.period_of(i)) p.may_run[at(i)].push_back(m);
       }
+    set_places();
     return {};
+  }
+
+  void set_places() const {
+    std::map<std::pair<int, std::vector<Tick>>, int> known;  // type, and the WCETs there
+    for (int m = 0; m < p.num_xpus; ++m) {
+      std::vector<Tick> column;
+      for (int i = 0; i < p.num_xnodes; ++i) column.push_back(p.wcet(i, m));
+      const auto [place, fresh] = known.try_emplace({p.xpu_type[at(m)], std::move(column)},
+                                                    static_cast<int>(p.place_xpus.size()));
+      if (fresh) p.place_xpus.emplace_back();
+      p.place_xpus[at(place->second)].push_back(m);
+      p.xpu_place.push_back(place->second);
+    }
   }
 
   Status set_edges() const {
@@ -475,6 +489,15 @@ Tick in_fast_time(Tick t, std::int64_t ppm) {
 Tick in_slow_time(Tick t, std::int64_t ppm) {
   if (ppm == 0) return t;
   return static_cast<Tick>((static_cast<__int128>(t) * (kMillion + ppm) + kMillion - 1) / kMillion);
+}
+
+std::string Problem::place_name(std::size_t at_place) const {
+  const std::vector<int>& xpus = place_xpus[at_place];
+  const int type = xpu_type[at(xpus.front())];
+  if (xpus.size() == type_xpus[at(type)].size()) return type_name[at(type)];
+  std::string names;
+  for (const int m : xpus) names += (names.empty() ? "" : ", ") + xpu_name[at(m)];
+  return names;
 }
 
 }  // namespace xauto::solver::steady

@@ -101,6 +101,9 @@ struct Problem {
   std::vector<std::vector<int>> type_xpus;  ///< [type]
   std::vector<char> preemptive;             ///< [xpu]
   std::vector<Tick> preempt;                ///< [xpu] cost of starting by preempting
+  /// XPUs of one type on which each XNode may be alike, whatever pins and forbids say of single ones.
+  std::vector<std::vector<int>> place_xpus;  ///< [place]
+  std::vector<int> xpu_place;                ///< [xpu]
   /// Where an XPU does not preempt, any other job may be in a job's way, whatever their windows are: so it
   /// may be where jobs become ready late (theorem 10).
   bool lets_in = false;
@@ -134,6 +137,8 @@ struct Problem {
   [[nodiscard]] Tick wcet(int xnode, int xpu) const {
     return wcet_flat[at(xnode) * at(num_xpus) + at(xpu)];
   }
+  /// The type, where it is one place; else the names of its XPUs.
+  [[nodiscard]] std::string place_name(std::size_t at_place) const;
   [[nodiscard]] int domain_of(int xnode) const {
     return components[at(component_of[at(xnode)])].domain;
   }

@@ -243,7 +243,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
                                     [&](int j) { return p_.wcet(j, m) == kNoTick; }))
         continue;
       const double price =
-          static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kLeastPrice) / kWeights;
+          static_cast<double>(weights[at(p_.xpu_place[at(m)])] + kLeastPrice) / kWeights;
       const double rate = rate_on(i, m);
       const double after = load[at(m)] + rate;
       double cost = rate * price +

@@ -7,6 +7,7 @@
 #include "solver/steady/chains.h"
 #include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
+#include "solver/steady/unpackable.h"
 #include "solver/threads.h"
 
 namespace xauto::solver::steady {
@@ -205,7 +206,13 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   answer.objective_bound = objective_bound(p, finer, kMostCasesOfAll, for_finer);
   if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
   const Lock lock(shared.mutex);
-  if (!shared.any) return answer;
+  if (!shared.any) {
+    if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
+      answer.outcome = Outcome::kUnsustainable;
+      answer.overload = std::move(*proof);
+    }
+    return answer;
+  }
   answer.outcome = Outcome::kPolicy;
   answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);
   std::vector<std::int64_t> chain_us;

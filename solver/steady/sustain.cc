@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "solver/steady/unpackable.h"
+
 namespace xauto::solver::steady {
 namespace {
 
@@ -29,31 +31,27 @@ constexpr std::int64_t kCrowdParts = 1 << 16, kShareParts = 1 << 20;
 /// Up to here a load is told with two decimals, in percent: 100.01 is no 100.
 constexpr std::int64_t kToldExactly = 110;
 
-/// [xnode * types + type] work there; kNoTick: it cannot be there.
-std::vector<Tick> work_by_type(const Problem& p) {
-  std::vector<Tick> work(at(p.num_xnodes) * at(p.num_types), kNoTick);
+/// [xnode * places + place] work there; kNoTick: it cannot be there.
+std::vector<Tick> work_by_place(const Problem& p) {
+  std::vector<Tick> work;
   for (int i = 0; i < p.num_xnodes; ++i)
-    for (int m = 0; m < p.num_xpus; ++m) {
-      Tick& w = work[at(i) * at(p.num_types) + at(p.xpu_type[at(m)])];
-      if (p.wcet(i, m) != kNoTick) w = p.wcet(i, m);
-    }
+    for (const auto& xpus : p.place_xpus) work.push_back(p.wcet(i, xpus.front()));
   return work;
 }
 
-/// Of instances of a type that the user leaves to somebody at all, so that pins to one of several
-/// are not lost: kept simple, all instances count.
+/// XPUs of each place.
 std::vector<std::int64_t> instances(const Problem& p) {
   std::vector<std::int64_t> count;
-  for (const auto& xpus : p.type_xpus) count.push_back(static_cast<std::int64_t>(xpus.size()));
+  for (const auto& xpus : p.place_xpus) count.push_back(static_cast<std::int64_t>(xpus.size()));
   return count;
 }
 
-double load_of(const Problem& p, const std::vector<double>& rate, const std::vector<double>& w,
+double load_of(const std::vector<double>& rate, const std::vector<double>& w,
                std::vector<double>* slope) {
   const std::size_t types = w.size();
   double load = 0;
   if (slope != nullptr) slope->assign(types, 0);
-  for (std::size_t i = 0; i < at(p.num_xnodes); ++i) {
+  for (std::size_t i = 0; i < rate.size() / types; ++i) {
     std::size_t best = types;
     double least = 0;
     for (std::size_t t = 0; t < types; ++t) {
@@ -74,43 +72,27 @@ std::string name_of(const Problem& p, const std::vector<std::int64_t>& weights) 
   std::string names;
   for (std::size_t t = 0; t < weights.size(); ++t)
     if (weights[t] * kNamedFrom > kWeights)
-      names += (names.empty() ? "" : " and ") + p.type_name[t];
+      names += (names.empty() ? "" : " and ") + p.place_name(t);
   return names;
 }
 
-/// Longest way of least WCETs from `from` to an XNode of `module`.
-Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module, int from) {
-  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
-  until[at(from)] = least[at(from)];
-  Tick longest = least[at(from)];
-  for (const int i : p.components[at(module.component)].xnodes) {
-    for (const EdgeEnd& link : p.pred[at(i)])
-      if (until[at(link.xnode)] != kNoTick)
-        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
-  }
-  for (const int i : module.xnodes) longest = std::max(longest, until[at(i)]);
-  return longest;
-}
-
-/// Those with the largest shares, in tenths of a percent.
-void keep_causes(std::vector<std::pair<int, double>> shares, OverloadProof& proof) {
-  std::stable_sort(shares.begin(), shares.end(),
-                   [](const auto& a, const auto& b) { return a.second > b.second; });
-  if (shares.size() > kMostCauses) shares.resize(kMostCauses);
-  for (const auto& [i, share] : shares)
-    if (share > 0) proof.causes.emplace_back(i, std::llround(share * 1000));
+std::vector<std::pair<std::string, std::int64_t>> named(const Problem& p,
+                                                        const std::vector<std::int64_t>& weights) {
+  std::vector<std::pair<std::string, std::int64_t>> all;
+  for (std::size_t t = 0; t < weights.size(); ++t) all.emplace_back(p.place_name(t), weights[t]);
+  return all;
 }
 
 /// Load, and spans of modules, together: an XNode that is slow where the load is low may be too long for
 /// its module.
 class Crowd {
  public:
-  explicit Crowd(const Problem& p) : p_(p), types_(at(p.num_types)), count_(instances(p)) {
+  explicit Crowd(const Problem& p) : p_(p), types_(p.place_xpus.size()), count_(instances(p)) {
     work_.assign(at(p.num_xnodes) * types_, kNoTick);
     std::vector<Tick> least(at(p.num_xnodes), 0);
     for (int i = 0; i < p.num_xnodes; ++i)
       for (const int m : p.may_run[at(i)]) {
-        work_[at(i) * types_ + at(p.xpu_type[at(m)])] = p.wcet(i, m);
+        work_[at(i) * types_ + at(p.xpu_place[at(m)])] = p.wcet(i, m);
         least[at(i)] = least[at(i)] == 0 ? p.wcet(i, m) : std::min(least[at(i)], p.wcet(i, m));
       }
     way_.assign(at(p.num_xnodes), -1);
@@ -260,22 +242,54 @@ std::string us(const Problem& p, Tick t) {
 
 }  // namespace
 
+void keep_causes(std::vector<std::pair<int, double>> shares, OverloadProof& proof) {
+  std::stable_sort(shares.begin(), shares.end(),
+                   [](const auto& a, const auto& b) { return a.second > b.second; });
+  if (shares.size() > kMostCauses) shares.resize(kMostCauses);
+  for (const auto& [i, share] : shares)
+    if (share > 0) proof.causes.emplace_back(i, std::llround(share * 1000));
+}
+
+std::vector<std::vector<int>> units(const Problem& p) {
+  std::vector<std::vector<int>> all = p.groups;
+  for (int i = 0; i < p.num_xnodes; ++i)
+    if (p.group_of[at(i)] < 0) all.push_back({i});
+  return all;
+}
+
+Tick span(const Problem& p, const std::vector<Tick>& takes, const Module& module, int from) {
+  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
+  until[at(from)] = takes[at(from)];
+  Tick longest = takes[at(from)];
+  for (const int i : p.components[at(module.component)].xnodes) {
+    for (const EdgeEnd& link : p.pred[at(i)])
+      if (until[at(link.xnode)] != kNoTick)
+        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + takes[at(i)]);
+  }
+  for (const int i : module.xnodes) longest = std::max(longest, until[at(i)]);
+  return longest;
+}
+
 std::int64_t load_ppm(const Problem& p, const std::vector<std::int64_t>& weights) {
-  const std::vector<Tick> work = work_by_type(p);
+  const std::vector<Tick> work = work_by_place(p);
   const std::vector<std::int64_t> count = instances(p);
   __int128 total = 0;
   std::int64_t sum = 0;
   for (const std::int64_t w : weights) sum += w;
   if (sum <= 0) return 0;
-  for (int i = 0; i < p.num_xnodes; ++i) {
+  for (const std::vector<int>& unit : units(p)) {
     __int128 least = -1;
     for (std::size_t t = 0; t < weights.size(); ++t) {
-      const Tick c = work[at(i) * at(p.num_types) + t];
-      if (c == kNoTick) continue;
-      // Rounded down twice: never more than it is. 2^47 * 2^16 * 10^6 * 2^20 fit 128 bits.
-      const __int128 share = static_cast<__int128>(c) * weights[t] * kMillion * kShareParts /
-                             (static_cast<__int128>(p.period_of(i)) * count[t]);
-      if (least < 0 || share < least) least = share;
+      __int128 share = 0;
+      for (const int i : unit) {
+        const Tick c = work[at(i) * count.size() + t];
+        if (c == kNoTick) share = -1;
+        if (share < 0) break;
+        // Rounded down twice: never more than it is. 2^47 * 2^16 * 10^6 * 2^20 fit 128 bits.
+        share += static_cast<__int128>(c) * weights[t] * kMillion * kShareParts /
+                 (static_cast<__int128>(p.period_of(i)) * count[t]);
+      }
+      if (share >= 0 && (least < 0 || share < least)) least = share;
     }
     if (least > 0) total += least;
   }
@@ -284,20 +298,26 @@ std::int64_t load_ppm(const Problem& p, const std::vector<std::int64_t>& weights
 }
 
 std::vector<std::int64_t> balancing_weights(const Problem& p) {
-  const std::size_t types = at(p.num_types);
-  const std::vector<Tick> work = work_by_type(p);
+  const std::size_t types = p.place_xpus.size();
+  const std::vector<Tick> work = work_by_place(p);
   const std::vector<std::int64_t> count = instances(p);
-  std::vector<double> rate(work.size(), -1);
-  for (std::size_t k = 0; k < work.size(); ++k)
-    if (work[k] != kNoTick)
-      rate[k] = static_cast<double>(work[k]) /
-                static_cast<double>(p.period_of(static_cast<int>(k / types))) /
-                static_cast<double>(count[k % types]);
+  std::vector<double> rate;  // [unit * places + place]
+  for (const std::vector<int>& unit : units(p))
+    for (std::size_t t = 0; t < types; ++t) {
+      double& load = rate.emplace_back(0);
+      for (const int i : unit) {
+        const Tick c = work[at(i) * types + t];
+        if (c == kNoTick) load = -1;
+        if (load < 0) break;
+        load += static_cast<double>(c) / static_cast<double>(p.period_of(i)) /
+                static_cast<double>(count[t]);
+      }
+    }
   // Multiplicative ascent: a type that is loaded more than the others gets dearer.
   std::vector<double> w(types, 1.0 / static_cast<double>(types)), best = w, slope, mean(types, 0);
-  double best_load = load_of(p, rate, w, nullptr);
+  double best_load = load_of(rate, w, nullptr);
   const auto consider = [&](const std::vector<double>& candidate) {
-    const double load = load_of(p, rate, candidate, nullptr);
+    const double load = load_of(rate, candidate, nullptr);
     if (load > best_load) {
       best_load = load;
       best = candidate;
@@ -310,7 +330,7 @@ std::vector<std::int64_t> balancing_weights(const Problem& p) {
   }
   const int rounds = p.num_xnodes > kManyXNodes ? kPriceRoundsOfMany : kPriceRounds;
   for (int r = 0; r < rounds; ++r) {
-    static_cast<void>(load_of(p, rate, w, &slope));
+    static_cast<void>(load_of(rate, w, &slope));
     double largest = kSlopeError, sum = 0;
     for (const double s : slope) largest = std::max(largest, s);
     const double step = 1.0 / std::sqrt(1.0 + r);
@@ -338,22 +358,56 @@ std::vector<std::int64_t> balancing_weights(const Problem& p) {
 
 namespace {
 
+/// A group that no XPU has time for.
+std::optional<OverloadProof> prove_group(const Problem& p) {
+  for (const std::vector<int>& group : p.groups) {
+    std::int64_t least = -1;  // ppm, rounded down
+    std::vector<std::pair<int, double>> shares;
+    for (const auto& xpus : p.place_xpus) {
+      std::int64_t load = 0;
+      std::vector<std::pair<int, double>> here;
+      for (const int i : group) {
+        const Tick c = p.wcet(i, xpus.front());
+        if (c == kNoTick) load = -1;
+        if (load < 0) break;
+        const auto part = static_cast<std::int64_t>(std::min<__int128>(
+            static_cast<__int128>(c) * kMillion / p.period_of(i), kMillion * kMillion));
+        load += part;
+        here.emplace_back(i, static_cast<double>(part) / static_cast<double>(kMillion));
+      }
+      if (load < 0 || (least >= 0 && load >= least)) continue;
+      least = load;
+      shares = std::move(here);
+    }
+    if (least <= kMillion) continue;
+    OverloadProof proof;
+    proof.load_pct = least / (kMillion / 100);
+    proof.text = "the group of XNode '" + p.xnode_name[at(group.front())] +
+                 "' asks one XPU for at least " + std::to_string(*proof.load_pct) + " %";
+    keep_causes(std::move(shares), proof);
+    return proof;
+  }
+  return std::nullopt;
+}
+
 std::optional<OverloadProof> prove_crowd(const Problem& p) {
   const Crowd crowd(p);
   const std::vector<std::int64_t> prices = crowd.prices();
   const std::int64_t ppm = crowd.ppm(prices);
   if (ppm <= kMillion) return std::nullopt;
-  const auto types = static_cast<std::ptrdiff_t>(p.num_types);
-  std::vector<std::int64_t> on_types(prices.begin(), prices.begin() + types);
+  const std::size_t places = p.place_xpus.size();
+  const std::vector<std::int64_t> on_places(prices.begin(),
+                                            prices.begin() + static_cast<std::ptrdiff_t>(places));
   OverloadProof proof;
   proof.load_pct = ppm / (kMillion / 100);
-  proof.text = name_of(p, on_types) + " and modules that have to end within their activations in " +
-               "flight, together at least " + std::to_string(proof.load_pct) + " %";
-  proof.weights = std::move(on_types);
+  proof.text = name_of(p, on_places) +
+               " and modules that have to end within their activations in " +
+               "flight, together at least " + std::to_string(*proof.load_pct) + " %";
+  proof.weights = named(p, on_places);
   std::size_t way = 0;
   for (const Module& module : p.modules) {
     if (module.in_flight > kMostTicks / p.components[at(module.component)].period) continue;
-    if (const std::int64_t price = prices[at(p.num_types) + way++]; price > 0)
+    if (const std::int64_t price = prices[places + way++]; price > 0)
       proof.module_weights.emplace_back(module.xnodes.front(), price);
   }
   keep_causes(crowd.shares(prices), proof);
@@ -372,6 +426,8 @@ std::optional<OverloadProof> prove_overload(const Problem& p) {
     OverloadProof proof;
     proof.text = "XNode '" + p.xnode_name[at(i)] + "' takes at least " + us(p, least[at(i)]) +
                  " every " + us(p, p.period_of(i));
+    proof.load_pct =
+        static_cast<std::int64_t>(static_cast<__int128>(least[at(i)]) * 100 / p.period_of(i));
     proof.causes = {{i, 1000}};
     return proof;
   }
@@ -385,6 +441,8 @@ std::optional<OverloadProof> prove_overload(const Problem& p) {
       proof.text = "an activation is in the module of XNode '" + p.xnode_name[at(e)] +
                    "' for at least " + us(p, takes) + ", " + std::to_string(module.in_flight) +
                    " in flight allow " + us(p, module.in_flight * period);
+      proof.load_pct = static_cast<std::int64_t>(static_cast<__int128>(takes) * 100 /
+                                                 (module.in_flight * period));
       std::vector<std::pair<int, double>> shares;
       for (const int i : module.xnodes)
         shares.emplace_back(
@@ -393,21 +451,25 @@ std::optional<OverloadProof> prove_overload(const Problem& p) {
       return proof;
     }
   }
+  if (std::optional<OverloadProof> group = prove_group(p)) return group;
   const std::vector<std::int64_t> weights = balancing_weights(p);
   const std::int64_t load = load_ppm(p, weights);
-  if (load <= kMillion) return prove_crowd(p);
+  if (load <= kMillion) {
+    std::optional<OverloadProof> crowd = prove_crowd(p);
+    return crowd ? crowd : prove_unpackable(p, kFirstLooks);
+  }
   OverloadProof proof;
-  proof.weights = weights;
+  proof.weights = named(p, weights);
   proof.load_pct = load / (kMillion / 100);
   // Rounded down, as "at least" says.
-  std::string figure = std::to_string(proof.load_pct);
-  if (proof.load_pct < kToldExactly) {
+  std::string figure = std::to_string(*proof.load_pct);
+  if (*proof.load_pct < kToldExactly) {
     const std::string rest = std::to_string(load / 100 % 100);
     figure += "." + std::string(2 - rest.size(), '0') + rest;
   }
   proof.text = name_of(p, weights) + " at least " + figure + " %";
   // Who weighs how much in it.
-  const std::vector<Tick> work = work_by_type(p);
+  const std::vector<Tick> work = work_by_place(p);
   const std::vector<std::int64_t> count = instances(p);
   std::int64_t sum = 0;
   for (const std::int64_t w : weights) sum += w;
@@ -415,7 +477,7 @@ std::optional<OverloadProof> prove_overload(const Problem& p) {
   for (int i = 0; i < p.num_xnodes; ++i) {
     double cheapest = -1;
     for (std::size_t t = 0; t < weights.size(); ++t) {
-      const Tick c = work[at(i) * at(p.num_types) + t];
+      const Tick c = work[at(i) * weights.size() + t];
       if (c == kNoTick) continue;
       const double share = static_cast<double>(c) * static_cast<double>(weights[t]) /
                            (static_cast<double>(p.period_of(i)) * static_cast<double>(count[t]) *

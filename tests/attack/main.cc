@@ -75,6 +75,30 @@ const Fault kFaults[] = {
      }},
 };
 
+/// Until clocks that drift have come round, at half of their ppm in half of the play: at most a minute.
+std::int64_t seconds_to_play(const AppSpec& app) {
+  std::int64_t longest = 0, ppm = 0;
+  for (const SourceSpec& s : app.sources) longest = std::max(longest, s.period.floor_us());
+  for (const ClockSpec& c : app.clocks) ppm = std::max(ppm, c.ppm);
+  return app.clocks.size() < 2 || ppm == 0 ? 1 : std::min<std::int64_t>(60, 1 + 4 * longest / ppm);
+}
+
+/// The policy played, with all that may vary: what is wrong with it in `bad`, the most that a chain takes of
+/// its worst case.
+Result<double> played(const Case& c, std::uint64_t seed, std::int64_t& jobs, std::string& bad) {
+  XAUTO_ASSIGN(const auto report,
+               solver::steady::play(c.app, c.platform, c.policy,
+                                    {seconds_to_play(c.app), seed % 2 == 1, true, true, seed}));
+  jobs += report.jobs;
+  bad = report.first_late;
+  double fullest = 0;
+  for (const auto& chain : report.chains) {
+    fullest = std::max(fullest, chain.longest_us / static_cast<double>(chain.claimed_us));
+    if (chain.exceeded()) bad += " chain " + chain.name;
+  }
+  return fullest;
+}
+
 /// Policies of the solver itself, with a budget that makes them the same on every machine.
 Result<bool> run_solved(const Flags& flags) {
   bool as_it_should = true;
@@ -100,10 +124,16 @@ Result<bool> run_solved(const Flags& flags) {
         const Found found = attack(c->app, c->platform, answer.policy, {flags.jobs, seed});
         ++policies;
         jobs += found.jobs;
-        if (!found.broken()) continue;
+        std::string bad;
+        if (&fault == kFaults) {
+          c->policy = answer.policy;
+          XAUTO_TRY(played(*c, seed, jobs, bad));
+        }
+        if (!found.broken() && bad.empty()) continue;
         ++broken;
         if (&fault == kFaults)
-          fmt::print("BROKEN: {}, seed {}: {} {}\n", kind.name, seed, found.late, found.chain);
+          fmt::print("BROKEN: {}, seed {}: {} {} {}\n", kind.name, seed, found.late, found.chain,
+                     bad);
       }
     fmt::print("the solver is told all but {:<30} {:>4} policies {:>11} jobs, {:>4} broken\n",
                fault.name, policies, jobs, broken);
@@ -126,19 +156,14 @@ Result<int> run(const Flags& flags) {
       ++made;
       own += found.jobs;
       at_key += found.closest_us > -0.001 ? 1 : 0;
-      met += found.fullest > 0.999 ? 1 : 0;
-      fullest += found.fullest;
-      const auto played =
-          solver::steady::play(c->app, c->platform, c->policy, {1, true, true, true, seed});
-      if (!played) return tl::unexpected<Error>(played.error());
-      own += played->jobs;
-      bool bad = found.broken() || played->late > 0;
-      for (const auto& chain : played->chains)
-        bad = bad || chain.longest_us > static_cast<double>(chain.claimed_us);
-      if (bad) {
+      std::string bad;
+      XAUTO_ASSIGN(const double seen, played(*c, seed, own, bad));
+      met += std::max(seen, found.fullest) > 0.999 ? 1 : 0;
+      fullest += std::max(seen, found.fullest);
+      if (found.broken() || !bad.empty()) {
         ++broken;
         fmt::print("BROKEN: {}, seed {}: {} {} {}\n", kind.name, seed, found.late, found.chain,
-                   played->first_late);
+                   bad);
       }
     }
     fmt::print(

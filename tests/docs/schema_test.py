@@ -212,7 +212,7 @@ def test_what_the_tools_write_is_valid():
         written("simulation", "simulate", "--app", APP, "--platform", "small", "--policy", "p.json", "--out", "s.json",
                 out="s.json")
         steady = SOURCE / "examples/driving/steady.json"
-        written("policy-2", "solve", "--app", steady, "--platform", "small", "--max-evaluations", 200, "--out", "p2.json",
+        written("policy-2", "solve", "--app", steady, "--platform", "small", "--max-evaluations", 3000, "--out", "p2.json",
                 out="p2.json")
         scenarios["app"] = "driving-steady"
         (folder / "scenarios-2.json").write_text(json.dumps(scenarios))

@@ -113,6 +113,63 @@ class Periodic(unittest.TestCase):
         self.assertFalse((self.folder / "policy.json").exists())
         self.assertIn("no policy keeps up", self.solve(status=1).stdout)
 
+    def refused(self, xnodes, *more, edges=()):
+        """App of one source of 100 ms on two CPUs and a GPU that keeps up with nothing: what solve tells."""
+        self.platform = self.write("platform.json", {"schema": "xauto.platform", "version": 1, "name": "three", "xpus": [
+            {"id": "cpu0", "type": "cpu"}, {"id": "cpu1", "type": "cpu"}, {"id": "gpu0", "type": "gpu"}]})
+        self.app = {"schema": "xauto.app", "version": 2, "name": "much", "sources": [{"name": "s", "period_us": 100000}],
+                    "edges": list(edges),
+                    "xnodes": [{"module": x["name"], "source": "s"} | x for x in xnodes]}
+        told = json.loads(self.solve("--json", *more, status=1).stdout)
+        self.assertEqual(told["schema"], "xauto.unsustainable")
+        self.assertIn("no policy keeps up", self.solve(*more, status=1).stdout)
+        return told
+
+    def test_a_refusal_says_how_much_is_asked_or_nothing(self):
+        def cpu(ms, *names):
+            return [{"name": name, "wcet_us": {"cpu": round(1000 * ms)}} for name in names]
+        self.assertEqual(self.refused(cpu(200, "a"))["load_pct"], 200, "one takes longer than its period")
+        self.assertEqual(self.refused(cpu(70, "a", "b", "c"))["load_pct"], 105, "all together")
+        self.assertIsNone(self.refused(cpu(60, "a", "b", "c"))["load_pct"], "90 %, but three are not two")
+        self.assertIsNone(self.refused(cpu(50.1, "a", "b", "c"))["load_pct"])
+        pinned = self.refused(cpu(60, "a", "b"), "--pin", "a=cpu0", "--pin", "b=cpu0")
+        self.assertEqual((pinned["load_pct"], pinned["proof"]), (120, "cpu0 at least 120 %"))
+        self.assertIn("cpu0", pinned["weights"])
+        self.assertEqual(self.refused(cpu(55, "a", "b"), "--forbid", "a=cpu0", "--forbid", "b=cpu0")["load_pct"], 110)
+        self.assertEqual(self.refused(cpu(52, "a", "b"), "--group", "a,b")["load_pct"], 104)
+        way = [{"name": "a.1", "module": "a", "wcet_us": {"cpu": 60000}}]
+        way.append({"name": "a.2", "module": "a", "wcet_us": {"gpu": 60000}, "source": None})
+        self.assertEqual(self.refused(way, edges=[["a.1", "a.2"]])["load_pct"], 120, "two stages, one in flight")
+        self.assertEqual(self.refused(cpu(10, *(f"x{i}" for i in range(30))))["load_pct"], 150)
+
+    def test_a_missed_deadline_is_status_1_proven_or_not(self):
+        bounds = {c["name"]: c["lower_bound_us"] for c in json.loads(self.solve("--json").stdout)["chains"]}
+        for chain in self.app["chains"]:
+            chain["deadline_us"] = max(1, bounds[chain["name"]])
+        self.write("app.json", self.app)
+        told = json.loads(self.run_tool("solve", "--app", "app.json", "--max-evaluations", 1, "--threads", 1, "--json", status=1).stdout)
+        self.assertIn(told["deadlines"], ("missed; not proven impossible", "proven impossible"))
+        self.assertTrue(any(c["worst_case_us"] > bounds[c["name"]] for c in told["chains"]))
+
+    def test_a_wcet_far_above_what_is_usual_is_named_where_it_decides(self):
+        spiky = {"name": "spiky", "wcet_us": {"cpu": 150000}, "typical_us": {"cpu": 600}}
+        calm = {"name": "calm", "wcet_us": {"cpu": 900}, "typical_us": {"cpu": 500}}
+        told = self.refused([spiky, calm])
+        self.assertEqual(told["rare_wcets"], [{"xnode": "spiky", "type": "cpu", "wcet_us": 150000, "typical_us": 600}])
+        self.assertIn("usually", self.solve(status=1).stdout)
+        heavy = [{"name": f"h{i}", "wcet_us": {"cpu": 90000}} for i in range(3)]
+        self.assertNotIn("rare_wcets", self.refused([spiky | {"wcet_us": {"cpu": 5000}}, *heavy]), "at 600 us it is no different")
+        # It fits, and is on the way of what is late, beside it on the XPU, or most of a worst case.
+        spiky["wcet_us"] = {"cpu": 32000}
+        for deadline, status, named in ((50000, 0, ["spiky"]), (20000, 1, ["spiky"])):
+            self.app["xnodes"] = [x | {"module": x["name"], "source": "s"} for x in (spiky, calm)]
+            self.app["chains"] = [{"name": "c", "from": "s", "to": "spiky", "deadline_us": deadline}]
+            told = json.loads(self.solve("--json", status=status).stdout)
+            self.assertEqual([r["xnode"] for r in told["rare_wcets"]], named)
+        spiky["typical_us"] = {"cpu": 16000}
+        self.app["xnodes"][0] |= spiky
+        self.assertNotIn("rare_wcets", json.loads(self.solve("--json", status=1).stdout), "twice is not above twice")
+
     def test_a_deadline_below_the_bound_is_proven_impossible(self):
         self.app["chains"][0]["deadline_us"] = 1000
         told = json.loads(self.solve("--json", status=1).stdout)

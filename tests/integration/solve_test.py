@@ -55,6 +55,26 @@ class Solve(unittest.TestCase):
         checked = xauto("check", "--app", app, "--platform", "small", "--policy", self.at / "policy.json")
         self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
 
+    def test_a_missed_deadline_is_status_1_proven_or_not(self):
+        app = self.app(40, 5)
+        found = self.solve(app, "--max-evaluations", 1, "--threads", 1)[3]
+        between = (found["latency_us"] + found["lower_bound_us"]) // 2
+        for deadline, words in ((1, "proven impossible"), (between, "missed; not")):
+            code, out, err, policy, _ = self.solve(app, "--max-evaluations", 1, "--threads", 1, "--deadline-us", deadline)
+            self.assertEqual((code, policy["latency_us"] > deadline), (1, True), out + err)
+            self.assertIn(words, out)
+        self.assertEqual(self.solve(app, "--max-evaluations", 50, "--deadline-us", 10**9)[0], 0)
+
+    def test_a_wcet_far_above_what_is_usual_is_named_where_it_decides(self):
+        app = self.at / "app.json"
+        for wcet, named in ((32000, ["spiky"]), (1200, [])):
+            app.write_text(json.dumps({"schema": "xauto.app", "version": 1, "name": "a", "edges": [], "xnodes": [
+                {"name": "spiky", "module": "m", "wcet_us": {"cpu": wcet}, "typical_us": {"cpu": 600}},
+                {"name": "calm", "module": "m", "wcet_us": {"cpu": 900}, "typical_us": {"cpu": 500}}]}))
+            told = json.loads(self.solve(app, "--json")[1])
+            self.assertEqual([r["xnode"] for r in told.get("rare_wcets", [])], named)
+            self.assertEqual("usually 0.600 ms" in self.solve(app)[1], bool(named))
+
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
         app = self.app(40, 5)  # not proven within half a minute
         code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600,

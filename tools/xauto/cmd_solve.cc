@@ -22,6 +22,7 @@
 #include "xauto/objectives_file.h"
 #include "xauto/outputs.h"
 #include "xauto/periodic.h"
+#include "xauto/rare_wcets.h"
 #include "xauto/tables.h"
 
 namespace xauto::cli {
@@ -91,6 +92,23 @@ const char* words(solver::Feasibility feasibility, bool one_rate) {
   }
 }
 
+bool missed(const solver::SolveReport& report) {
+  return report.feasibility == solver::Feasibility::kImpossible ||
+         report.feasibility == solver::Feasibility::kUnknown;
+}
+
+/// One release is one way.
+std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const Policy& policy,
+                              const solver::SolveReport& report) {
+  Way all{{}, policy.latency_us, missed(report)};
+  std::vector<int> xpu;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    all.xnodes.push_back(static_cast<int>(i));
+    xpu.push_back(policy.placements[i].xpu);
+  }
+  return rare_in_policy(app, platform, xpu, {std::move(all)});
+}
+
 /// The cases of --what-if and --implement, best first.
 Result<std::vector<solver::WhatIf>> ask_what_if(const SolveFlags& flags, const AppSpec& app,
                                                 const Platform& platform, const Policy& policy) {
@@ -158,6 +176,8 @@ void print_json(const AppSpec& app, const Platform& platform, const Policy& poli
                               {"latency_us", chain.latency_us},
                               {"lower_bound_us", chain.bound_us},
                               {"met", chain.met()}});
+  if (const std::vector<RareWcet> rare = rare_in(app, platform, policy, report); !rare.empty())
+    root["rare_wcets"] = to_json(rare, app);
   for (const solver::WhatIf& what : answers)
     root["what_if"].push_back({{"change", what.change},
                                {"latency_us", what.latency_us},
@@ -305,13 +325,13 @@ Result<int> solve(SolveFlags& flags, const Options& options) {
   } else {
     print_table(app, platform, policy);
     print_more(app, policy, report, answers);
+    std::fputs(words_of(rare_in(app, platform, policy, report), app).c_str(), stdout);
   }
   std::fflush(stdout);
   if (!flags.out.empty()) outputs.write(flags.out, to_json(policy, app, platform));
   if (!options.json && !flags.out.empty() && outputs.good())
     std::printf("\n  written to %s\n", flags.out.c_str());
-  return outputs.status(report.feasibility == solver::Feasibility::kImpossible ? kAnswerIsNo
-                                                                               : kDone);
+  return outputs.status(missed(report) ? kAnswerIsNo : kDone);
 }
 
 }  // namespace

@@ -18,6 +18,7 @@
 #include "story/windows.h"
 
 #include "xauto/outputs.h"
+#include "xauto/rare_wcets.h"
 
 namespace xauto::cli {
 namespace {
@@ -226,7 +227,7 @@ std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
 }
 
 int tell_unsustainable(const AppSpec& app, const Platform& platform, const steady::Answer& answer,
-                       const Options& options) {
+                       const solver::Objectives& wishes, const Options& options) {
   const steady::OverloadProof& proof = answer.overload;
   Json causes = Json::array();
   std::string list;
@@ -237,10 +238,9 @@ int tell_unsustainable(const AppSpec& app, const Platform& platform, const stead
   }
   Json weights = Json::object();
   std::string prices;
-  const std::vector<std::string> types = platform.types();
-  for (std::size_t t = 0; t < proof.weights.size() && t < types.size(); ++t) {
-    weights[types[t].c_str()] = proof.weights[t];
-    prices += fmt::format("{}{} {}", prices.empty() ? "" : ", ", types[t], proof.weights[t]);
+  for (const auto& [place, weight] : proof.weights) {
+    weights[place.c_str()] = weight;
+    prices += fmt::format("{}{} {}", prices.empty() ? "" : ", ", place, weight);
   }
   Json of_modules = Json::object();
   for (const auto& [xnode, price] : proof.module_weights) {
@@ -249,16 +249,18 @@ int tell_unsustainable(const AppSpec& app, const Platform& platform, const stead
     if (proof.module_weights.size() <= kMostPrices)
       prices += fmt::format(", module {} {}", module, price);
   }
+  const std::vector<RareWcet> rare = rare_in_overload(app, platform, wishes);
   if (options.json) {
     Json told = {{"schema", "xauto.unsustainable"},
                  {"version", 1},
                  {"app", app.name},
                  {"platform", platform.name},
                  {"proof", proof.text},
-                 {"load_pct", proof.load_pct},
+                 {"load_pct", proof.load_pct ? Json(*proof.load_pct) : Json()},
                  {"weights", std::move(weights)},
                  {"causes", std::move(causes)}};
     if (!proof.module_weights.empty()) told["module_weights"] = std::move(of_modules);
+    if (!rare.empty()) told["rare_wcets"] = to_json(rare, app);
     std::cout << told.dump(2) << "\n";
     return kAnswerIsNo;
   }
@@ -266,10 +268,30 @@ int tell_unsustainable(const AppSpec& app, const Platform& platform, const stead
                            proof.text);
   if (!list.empty()) std::cout << "  most of it is\n" << list;
   if (!prices.empty())
-    std::cout << "\n  proof: these weights (" << prices << "), each XNode on its cheapest type"
+    std::cout << "\n  proof: these weights (" << prices << "), each unit at its cheapest place"
               << (proof.module_weights.size() > kMostPrices ? "; --json has those of modules" : "")
               << "\n";
+  std::cout << words_of(rare, app);
   return kAnswerIsNo;
+}
+
+/// By the check's paths: whoever a chain waits for in a component that it goes through.
+std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                              const steady::CheckReport& report) {
+  const auto parts = find_components(app);
+  if (!parts) return {};
+  std::vector<int> xpu;
+  for (const KeyPlacement& placed : policy.placements) xpu.push_back(placed.xpu);
+  std::vector<Way> ways;
+  for (const steady::ChainProof& chain : report.chains) {
+    Way way{{}, chain.derived_us, chain.late()};
+    for (std::size_t k = 2; k < chain.path.size(); k += 2)
+      for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+        if (parts->of[i] == parts->of[at(app.find(chain.path[k]))])
+          way.xnodes.push_back(static_cast<int>(i));
+    ways.push_back(std::move(way));
+  }
+  return rare_in_policy(app, platform, xpu, ways);
 }
 
 /// Who is where, beside where a hint has them.
@@ -321,12 +343,13 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
   if (!solved) return tl::unexpected<Error>(std::move(solved).error());
   const steady::Answer& answer = *solved;
   if (answer.outcome == steady::Outcome::kUnsustainable)
-    return tell_unsustainable(app, platform, answer, options);
+    return tell_unsustainable(app, platform, answer, asked.wishes, options);
   if (answer.outcome == steady::Outcome::kUnknown)
     return fail(ErrorCode::kUnavailable,
                 "unknown: neither a policy that keeps up nor a proof that there is none",
                 app.name + " on " + platform.name,
-                "give it more time (--time-limit-s), longer periods, or another XPU");
+                "give it more time (--time-limit-s), longer periods, or another XPU" +
+                    words_of(rare_in_overload(app, platform, asked.wishes), app));
   // No worst case is told that code of its own does not derive again.
   const auto checked = steady::check(app, platform, answer.policy);
   if (!checked && checked.error().code == ErrorCode::kUnavailable)  // nobody could check it
@@ -348,6 +371,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
   }
   const bool late = misses(app, answer.policy);
   const bool never = app.has_deadlines() && answer.objective_bound > 1;
+  const std::vector<RareWcet> rare = rare_in(app, platform, answer.policy, *checked);
   if (options.json) {
     Json root = Json::parse(to_json(answer.policy, app, platform)).value_or(Json());
     root["evaluations"] = answer.evaluations;
@@ -362,6 +386,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     root["deadlines"] = never  ? "proven impossible"
                         : late ? "missed; not proven impossible"
                                : "met";
+    if (!rare.empty()) root["rare_wcets"] = to_json(rare, app);
     std::cout << root.dump(2) << "\n";
   } else {
     std::cout << fmt::format("{} on {}: {}, {:.2f} s\n\n", app.name, platform.name, shape(app),
@@ -381,12 +406,13 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
           << (never ? "\n  A deadline is missed, and of no policy of keys can all be certified: "
                       "proven, by lower bounds.\n"
                     : "\n  A deadline is missed. That no policy meets it is not proven.\n");
+    std::cout << words_of(rare, app);
   }
   std::cout.flush();
   if (!out.empty()) outputs.write(out, to_json(answer.policy, app, platform));
   if (!options.json && !out.empty() && outputs.good())
     std::cout << fmt::format("\n  written to {}\n", out);
-  return outputs.status(never ? kAnswerIsNo : kDone);
+  return outputs.status(late ? kAnswerIsNo : kDone);
 }
 
 /// The whole ways of chains' worst paths. The check names where one enters and leaves each component;

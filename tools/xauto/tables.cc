@@ -119,7 +119,8 @@ std::string memory_text(const InstanceMemory& memory, std::size_t all) {
       memory.measured < all ? fmt::format(", of {} of {} instances", memory.measured, all) : "");
 }
 
-void print_tables(const AppSpec& app, const Platform& platform, const Tables& tables) {
+void print_tables(const AppSpec& app, const Platform& platform, const Tables& tables,
+                  bool tried_all) {
   std::size_t width = 8, table_width = 10;
   for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
   for (const Table& t : tables.tables) table_width = std::max(table_width, t.name.size());
@@ -159,7 +160,9 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
                     "comes to in any policy of keys."
                   : " Told is the sum over all chains: none has a deadline.",
       by_keys ? kKeyScope : kWorstCaseScope, by_keys ? ", of policies of keys" : "",
-      tables.worst_regret() > 1 ? " That as few tables cannot do better is not." : "");
+      tables.worst_regret() <= 1 ? ""
+      : tried_all                ? " As few tables cannot do better: every one was tried."
+                                 : " That as few tables cannot do better is not.");
   for (std::size_t t = 0; t < tables.tables.size(); ++t) {
     const Table& table = tables.tables[t];
     if (table.loss.none()) continue;
@@ -213,6 +216,8 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
                              ? fmt::format("{} of {} scenarios solved", solved, list.list.size())
                              : fmt::format("worst regret {:.3f}", worst));
   };
+  bool tried_all = false;
+  asked.tried_all = &tried_all;
   const auto solved = solver::solve_tables(app, platform, list, asked);
   line.end();
   if (!solved) return tl::unexpected<Error>(solved.error());
@@ -220,13 +225,14 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
   if (options.json) {
     Json root = Json::parse(to_json(tables, app, platform)).value_or(Json());
     root["worst_regret"] = tables.worst_regret();
+    root["tried_all"] = tried_all;
     root["instances"] = instances(tables);
     const InstanceMemory memory = memory_of_instances(tables, app, platform);
     root["memory_kb"] = memory.measured > 0 ? Json(memory.kb) : Json();
     root["memory_measured"] = memory.measured;
     std::cout << root.dump(2) << "\n";
   } else {
-    print_tables(app, platform, tables);
+    print_tables(app, platform, tables, tried_all);
   }
   std::fflush(stdout);
   if (!out.empty()) outputs.write(out, to_json(tables, app, platform));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tables of keys: what is written is true, more tables are no worse, and a lie is found.
+#include <algorithm>
 #include <optional>
 #include <string>
 #include <vector>
@@ -85,6 +86,33 @@ TEST(KeyTables, AreTrueAndMoreOfThemAreNoWorse) {
     const auto& last = tables->tables[static_cast<std::size_t>(tables->serves[3].table)];
     for (const int xpu : last.xpu) EXPECT_NE(xpu, 2);
   }
+}
+
+/// Which scenarios share a table: of every two sets of three scenarios, each solved by itself with the same
+/// budget, none has less regret.
+TEST(KeyTables, NoOtherSetsOfScenariosAreBetter) {
+  const AppSpec app = seeing_and_acting();
+  Scenarios list = with_slower_gpus();
+  list.list.pop_back();
+  const auto two = solve_tables(app, of_two_cpus(), list, ended_by_evaluations(2));
+  ASSERT_TRUE(two) << two.error().to_string();
+  double least = 1e9;
+  for (std::size_t with_first = 0; with_first < 4; ++with_first) {
+    double worst = 0;
+    for (const bool first : {true, false}) {
+      Scenarios part = list;
+      part.list.clear();
+      for (std::size_t s = 0; s < list.list.size(); ++s)
+        if ((s == 0 || (with_first >> (s - 1) & 1) != 0) == first)
+          part.list.push_back(list.list[s]);
+      if (part.list.empty()) continue;
+      const auto one = solve_tables(app, of_two_cpus(), part, ended_by_evaluations(1));
+      ASSERT_TRUE(one) << one.error().to_string();
+      worst = std::max(worst, one->worst_regret());
+    }
+    least = std::min(least, worst);
+  }
+  EXPECT_LE(two->worst_regret(), least * 1.02);
 }
 
 TEST(KeyTables, EachLieIsFound) {
