@@ -233,5 +233,25 @@ TEST(RunReport, AnErrorTravels) {
             "malformed answer of the app: code");
 }
 
+TEST(TableClaims, ChangesThatAreNoLongerListedAreJudged) {
+  RunReport report;
+  report.complete = true;
+  SwitchReport change;
+  change.from = "a";
+  change.to = "b";
+  change.spanned_us = 900;
+  change.worst_case_us = 1'000;
+  report.switches = {change};
+  report.num_switches = 5'000;
+  EXPECT_TRUE(table_claims_of(report, false, false).exceeded.empty());
+  report.over_changes = 3;
+  EXPECT_EQ(table_claims_of(*parse_run_report(to_json(report)), false, false).exceeded,
+            std::vector<std::string>{"3 changes of the scenario before the last 1"});
+  report.switches[0].spanned_us = 1'100;  // one of the three
+  ASSERT_EQ(table_claims_of(report, false, false).exceeded.size(), 2U);
+  EXPECT_EQ(table_claims_of(report, false, false).exceeded[1],
+            "2 changes of the scenario before the last 1");
+}
+
 }  // namespace
 }  // namespace xauto::runtime
