@@ -60,15 +60,17 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
   std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
   if (tells) period = std::min(period, kTellNs);
-  XAUTO_ASSIGN(watchdog_, Watchdog::start(period, [this, tells, claims](std::int64_t now) {
+  XAUTO_ASSIGN(watchdog_, Watchdog::start(period, [this, tells, claims, period](std::int64_t now) {
+                 if (threads_ && asleep_since_ns_ > 0)
+                   threads_->woke(now - asleep_since_ns_, period);
                  for (const auto& worker : wiring_.workers()) {
                    if (const auto job = worker->find_hung(now)) hung(*worker, *job);
                    if (tells) worker->tell_time(now);
                    if (claims) worker->tell_past_wcet(now);
                    if (claims) worker->tell_stuck_call(now);
-                   if (threads_) worker->tell_moved();
                  }
                  look_at_threads(now);
+                 asleep_since_ns_ = xauto::now_ns();
                  role_.looked(now);
                }));
   return {};
@@ -85,6 +87,7 @@ void HangWatch::stop() {
 void HangWatch::look_at_threads(std::int64_t now_ns) {
   if (!threads_ || now_ns - looked_ns_ < kLookNs) return;
   looked_ns_ = now_ns;
+  for (const auto& worker : wiring_.workers()) worker->tell_moved();
   threads_->look(now_ns);
 }
 

@@ -44,7 +44,7 @@ class HangWatch {
   Role& role_;
   std::string note_;                      ///< of the watchdog's thread
   std::unique_ptr<ThreadWatch> threads_;  ///< of the watchdog's thread; null: nothing is claimed
-  std::int64_t looked_ns_ = 0;            ///< likewise
+  std::int64_t asleep_since_ns_ = 0, looked_ns_ = 0;  ///< likewise
   std::unique_ptr<Watchdog> watchdog_;
 };
 

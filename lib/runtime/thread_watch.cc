@@ -23,6 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr std::int64_t kStillNs = 1'000'000;     ///< below, it is the kernel's timer
 constexpr std::int64_t kFindNs = 1'000'000'000;  ///< between two looks for further threads
 
 std::int64_t ns_of_ticks(std::int64_t ticks) {
@@ -122,6 +123,13 @@ void ThreadWatch::finish() {
   stolen_now_ns_ = stolen_ns(proc_);
 }
 
+void ThreadWatch::woke(std::int64_t slept_ns, std::int64_t asked_ns) {
+  if (!not_watched_.empty()) return;  // who tells a queue from it?
+  const std::int64_t waited_ns = rt::without_core_ns().value_or(waited_ns_);
+  const std::int64_t by_queue_ns = waited_ns - std::exchange(waited_ns_, waited_ns);
+  still_ns_ = std::max(still_ns_, slept_ns - asked_ns - by_queue_ns);
+}
+
 void ThreadWatch::look(std::int64_t now_ns) {
   const bool finds = now_ns - found_ns_ >= kFindNs;
   if (finds) {
@@ -148,6 +156,12 @@ std::vector<TakenReport> ThreadWatch::taken() const {
   const auto add = [&](std::string what, std::int64_t ns) {
     if (ns > 0) list.push_back({std::move(what), ns / 1000});
   };
+  if (still_ns_ >= kStillNs)
+    add(fmt::format(
+            "a thread that only slept woke up to {:.2f} ms late, and had not waited for a core: "
+            "the machine stood still",
+            static_cast<double>(still_ns_) * 1e-6),
+        still_ns_);
   for (const auto& [id, seen] : threads_)
     add(fmt::format("the thread '{}' waited up to {:.2f} ms in a run queue, within {} ms",
                     seen.name, static_cast<double>(seen.longest_ns) * 1e-6, kLookNs / 1'000'000),

@@ -26,6 +26,9 @@ class ThreadWatch {
   explicit ThreadWatch(std::vector<pid_t> xnodes_on_cores, std::string proc = "/proc");
   /// Every kLookNs: what is told of waiting is told of the time between two looks.
   void look(std::int64_t now_ns);
+  /// The watching thread slept for `slept_ns` where it had asked for `asked_ns`. What it did not wait for a core of
+  /// that, the whole machine stood still: nothing counts that.
+  void woke(std::int64_t slept_ns, std::int64_t asked_ns);
   /// After the last look, when the threads of the run may have ended.
   void finish();
   [[nodiscard]] std::vector<TakenReport> taken() const;
@@ -49,6 +52,7 @@ class ThreadWatch {
   std::int64_t process_ns_ = 0, others_ns_ = 0;         ///< CPU time: of all at first, of strangers
   std::int64_t children_ns_ = 0, children_now_ns_ = 0;  ///< likewise of child processes
   std::int64_t stolen_ns_ = 0, stolen_now_ns_ = 0;      ///< likewise by other machines
+  std::int64_t waited_ns_ = 0, still_ns_ = 0;  ///< of `woke`: until the last one; the longest
   std::string not_watched_;
 };
 

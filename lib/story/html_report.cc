@@ -160,7 +160,7 @@ std::string story_section(const ReadTrace& trace, const TraceReactions& chain) {
   const auto story = story_of(trace, chain, *worst);
   if (!story) return html + "<p class='dim'>" + html_safe(story.error().to_string()) + "</p>";
   html +=
-      "<table class='worst'><tr><th>in ms since then</th><th style='text-align:left'>on</th>"
+      "<table class='worst'><tr><th>XNode, ms since then</th><th style='text-align:left'>on</th>"
       "<th>ready</th><th>began</th><th>ended</th><th>key</th>"
       "<th style='text-align:left'>why not sooner</th></tr>";
   const auto tell = [&](const StoryJob& job) {
@@ -419,7 +419,8 @@ std::string counts_section(const std::string& title, const ReadTrace& trace) {
   const bool claims = any(&ChainCounts::worst_case_us), deadlines = any(&ChainCounts::deadline_us);
   const std::string of = !trace.counts.empty() ? " (whole run)" : window_of(trace);
   std::string html = fmt::format(
-      "<h2>{}</h2><table><tr><th>chain, ms{}</th><th>n</th><th>p50</th><th>p99</th><th>max</th>{}{}"
+      "<h2>{}</h2><table class='counts'><tr><th>chain, "
+      "ms{}</th><th>n</th><th>p50</th><th>p99</th><th>max</th>{}{}"
       "</tr>",
       html_safe(title), of, claims ? "<th>worst case</th><th>bound</th><th></th>" : "",
       deadlines ? "<th>deadline</th><th>missed</th>" : "");

@@ -95,6 +95,15 @@ TEST(ThreadWatch, ChildrenAreSeenWhileTheyRunAndAfterwards) {
   for (const int fd : {ready[0], ready[1], go[0], go[1]}) close(fd);
 }
 
+TEST(ThreadWatch, AMachineThatStoodStillIsNoQueue) {
+  ThreadWatch watch({});
+  watch.woke(50'000'000, 50'000'000);
+  EXPECT_EQ(taken_us(watch, "stood still"), 0);
+  if (!watch.not_watched().empty()) GTEST_SKIP() << "this kernel counts no waits";
+  watch.woke(3'600'000'000'000, 50'000'000);
+  EXPECT_GE(taken_us(watch, "stood still"), 1'800'000'000) << "less what this test waited";
+}
+
 TEST(ThreadWatch, WhereTheKernelTellsNothingThatIsSaid) {
   ThreadWatch watch({}, "/nowhere");
   EXPECT_NE(watch.not_watched().find("/nowhere/self/task"), std::string::npos);
