@@ -22,6 +22,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 KINDS = {"model": "Model figures: computed, nothing ran.",
          "emulated": "Emulated: the real runtime, with stages that sleep for as long as they are said to take.",
          "measured": "Measured on this machine."}
+SHARE = ("The share of a CPU is that of three coordinators whose XNodes have neither order constraints nor preemptions within preemptions: "
+         "no job wakes them. A policy with order constraints wakes a coordinator for each. That cost is not in this table.")
 
 
 def text_of(*command):
@@ -142,6 +144,7 @@ class Bench:
             table.append([case, program, f"{middle:.{digits}f} ({min(p50):.{digits}f}–{max(p50):.{digits}f})",
                           "" if share else f"{statistics.median(p99):.{digits}f}"])
         self.table(["case", "program", "p50", "p99"], table)
+        self.page += textwrap.wrap(SHARE, 120, break_on_hyphens=False) + [""]
         self.text("runtime.txt", "\n".join(line for line in text.splitlines() if not line.startswith("R\t")))
 
     def synthetic(self):

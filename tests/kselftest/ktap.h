@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
  * The little that a KTAP test program needs (Documentation/dev-tools/ktap.rst), in C and C++.
- * kselftest's own header is no package of Debian's; what this prints is what it prints, so the same
- * programs run under the kernel's runner.
+ * kselftest's own header comes with the kernel's source only; what this prints has its format.
  *
  *	int main(void)
  *	{

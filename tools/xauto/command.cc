@@ -54,7 +54,7 @@ Verb Commands::add(const std::string& name, const std::string& description,
 int Commands::run(int argc, char** argv) {
   program_.version(XAUTO_VERSION);
   program_.footer(
-      "Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
+      "Exit status: 0 done, 1 the answer is no or something failed, 2 bad usage or bad input.\n"
       "Next: xauto doctor");
   for (Verb& verb : verbs())
     if (verb.has("--app") || verb.has("--platform"))

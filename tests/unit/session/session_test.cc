@@ -178,7 +178,10 @@ TEST(RunReport, EachFieldTravels) {
   report.num_releases = 2;
   for (std::int64_t i = 0; i < 70'000; ++i) report.latencies_us.add(i);
   report.not_complete = "why";
-  report.modules = {{"m", true, 1, 2, 3, 4, report.latencies_us, 5}};
+  report.modules = {{"m", true, 1, 2, 3, 4, 6, report.latencies_us, 5}};
+  report.taken = {{"a child", 7}};
+  report.not_watched = "no /proc";
+  report.over_changes = 8;
   report.xnodes = {{"m.x", 10, 20, 3, 2, 1, 30, 0, 0, 0, "m", 6, 7}};
   report.routes.resize(2);
   report.routes[0].deadline_us = 40;
