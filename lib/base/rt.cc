@@ -100,14 +100,30 @@ Status pin_to_cores(const std::vector<int>& cores, pid_t thread) {
   return {};
 }
 
-std::vector<int> allowed_cores() {
-  cpu_set_t set;
-  CPU_ZERO(&set);
-  sched_getaffinity(0, sizeof set, &set);
+namespace {
+
+std::vector<int> cores_of(const cpu_set_t& set) {
   std::vector<int> cores;
   for (int core = 0; core < CPU_SETSIZE; ++core)
     if (CPU_ISSET(static_cast<unsigned>(core), &set)) cores.push_back(core);
   return cores;
+}
+
+}  // namespace
+
+Placement placement_of(pid_t thread) {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  const int policy = sched_getscheduler(thread);
+  if (policy < 0 || sched_getaffinity(thread, sizeof set, &set) != 0) return {};
+  return {cores_of(set), policy};
+}
+
+std::vector<int> allowed_cores() {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  sched_getaffinity(0, sizeof set, &set);
+  return cores_of(set);
 }
 
 void set_timer_slack_1ns() {
@@ -135,6 +151,13 @@ namespace {
 // asks for that of a thread that sleeps. All three are 0 where nobody counts, which can be a matter of the
 // kernel's command line (nodelayacct, 5.10).
 std::optional<std::int64_t> waited_by(int schedstat) {
+  const auto times = times_of(schedstat);
+  return times ? std::optional(times->waited_ns) : std::nullopt;
+}
+
+}  // namespace
+
+std::optional<ThreadTimes> times_of(int schedstat) {
   char text[96];
   const ssize_t size = pread(schedstat, text, sizeof text - 1, 0);
   if (size <= 0) return std::nullopt;
@@ -143,10 +166,8 @@ std::optional<std::int64_t> waited_by(int schedstat) {
   if (std::sscanf(text, "%" SCNd64 " %" SCNd64 " %" SCNd64, &ran, &waited, &times) != 3 ||
       times == 0)
     return std::nullopt;
-  return waited;
+  return ThreadTimes{ran, waited};
 }
-
-}  // namespace
 
 std::optional<std::int64_t> without_core_ns() {
   thread_local const UniqueFd file(open("/proc/thread-self/schedstat", O_RDONLY | O_CLOEXEC));

@@ -31,6 +31,13 @@ namespace xauto::rt {
 [[nodiscard]] Status pin_to_core(int core);
 /// To any of these; `thread`: the kernel's number of another one than the calling thread.
 [[nodiscard]] Status pin_to_cores(const std::vector<int>& cores, pid_t thread = 0);
+/// Where a thread may run, and by what policy; without CPUs: it is gone.
+struct Placement {
+  std::vector<int> cpus;
+  int policy = 0;
+  friend bool operator==(const Placement&, const Placement&) = default;
+};
+[[nodiscard]] Placement placement_of(pid_t thread);
 /// The cores that this process may use, ascending.
 [[nodiscard]] std::vector<int> allowed_cores();
 
@@ -47,6 +54,11 @@ bool lock_memory();
 [[nodiscard]] std::optional<std::int64_t> without_core_ns();
 /// The same of another thread of this process; nullopt, too, where that one has or wants a core now.
 [[nodiscard]] std::optional<std::int64_t> without_core_ns(pid_t asleep);
+/// A thread's times, of a file /proc/.../schedstat.
+struct ThreadTimes {
+  std::int64_t ran_ns = 0, waited_ns = 0;
+};
+[[nodiscard]] std::optional<ThreadTimes> times_of(int schedstat);
 /// Cut to the kernel's 15 characters.
 void set_thread_name(const std::string& name);
 

@@ -219,6 +219,12 @@ std::string XpuLine::slow_suspensions() const {
          " us; the platform file says preempt_us " + std::to_string(preempt_us);
 }
 
+std::string XNodeLine::words_of_moved() const {
+  if (moved.load() == 0) return {};
+  return "the thread that runs XNode '" + line_name(name) + "' of XModule '" + line_name(module) +
+         "' was given other CPUs or another scheduling policy than the run gave it";
+}
+
 void Board::count_late(std::int64_t ns, bool early) {
   if (early) header_->early.fetch_add(1, std::memory_order_relaxed);
   header_->late.fetch_add(1, std::memory_order_relaxed);

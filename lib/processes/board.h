@@ -187,6 +187,13 @@ struct alignas(64) XNodeLine {
   /// [M] raises it, [H] takes it. 0: there was none.
   std::atomic<std::uint64_t> seen_job{};
   std::atomic<std::uint32_t> hung_table{};  ///< [M] of the last job that hung
+  /// [M] on a real CPU the longest time in which a job's thread could have run, and the kernel ran neither it
+  /// nor another XNode there; and how often its thread was seen with other CPUs or another scheduling policy
+  /// than the run gave it.
+  std::atomic<std::int64_t> waited_ns{};
+  std::atomic<std::uint32_t> moved{};
+  /// The latter in words; empty: it was not.
+  [[nodiscard]] std::string words_of_moved() const;
   /// With tables: jobs past Limits::wcet_ns since the hub last looked, and as seen_job the longest.
   std::atomic<std::uint64_t> past_jobs{}, past_job{};
   static constexpr int kTableBits = 8;

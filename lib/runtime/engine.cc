@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include <fmt/format.h>
 #include <uapi/xauto/event.h>
 
 #include "base/log.h"
@@ -226,6 +227,7 @@ void Engine::tell_notes(RunReport& into) {
   into.note = placing_.note;
   wiring_->report(into);
   add_note(into.note, hangs_->note());
+  hangs_->report(into);
   add_note(into.note, left_behind_);
 }
 
@@ -254,6 +256,22 @@ void Engine::tell_failed_preemptions(RunReport& into) const {
   }
 }
 
+/// What the kernel, or an exec, did to the threads of XNodes on cores.
+void Engine::tell_cores(RunReport& into) const {
+  for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
+    const XNodeLine& line = context_->board.xnode(n);
+    if (std::string moved = line.words_of_moved(); !moved.empty())
+      into.unkept.push_back(std::move(moved));
+    if (line.waited_ns > 0)
+      into.taken.push_back(
+          {fmt::format("XNode '{}' of XModule '{}' could have run for {:.2f} ms on its core, and "
+                       "the kernel ran neither it nor another XNode there",
+                       line_name(line.name), line_name(line.module),
+                       static_cast<double>(line.waited_ns) * 1e-6),
+           line.waited_ns / 1000});
+  }
+}
+
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
@@ -269,6 +287,7 @@ RunReport Engine::report() {
                      contexts.misplaced.load()};
   tell_preemptions(result);
   tell_failed_preemptions(result);
+  tell_cores(result);
   add_note(result.note, changed_parameters(context_->board));
   if (!releaser_) return result;
   result.broken = releaser_->broken();

@@ -72,6 +72,7 @@ class Engine final : private ModuleHost {
   void tell_notes(RunReport& into);
   void tell_preemptions(RunReport& into) const;
   void tell_failed_preemptions(RunReport& into) const;
+  void tell_cores(RunReport& into) const;
   [[nodiscard]] RunReport report();
 
   OneThread thread_;

@@ -31,11 +31,12 @@ Result<std::unique_ptr<HangWatch>> HangWatch::make(const Context& context, const
 /// Looks often enough to notice a hang within a quarter of the shortest limit.
 Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
   std::int64_t shortest = 0;
-  bool others = false, claims = false;
+  bool others = false, claims = false, certified = false;
   for (const std::vector<Limits>& of_table : limits)
     for (std::size_t n = 0; n < of_table.size(); ++n) {
       const std::int64_t ns = of_table[n].hang_ns;
       const auto module = static_cast<std::size_t>(context_.graph.nodes[n].module);
+      certified = certified || (of_table[n].wcet_ns > 0 && context_.hosts(module));
       // By tables a job's time decides which one is next, and that is told elsewhere.
       claims =
           claims || (of_table[n].wcet_ns > 0 && context_.hosts(module) && !context_.session.tables);
@@ -49,17 +50,27 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
       }
     }
   const bool tells = context_.session.tables && !role_.leads();
-  if (shortest == 0 && !others && !tells && !claims) return {};
+  if (shortest == 0 && !others && !tells && !certified) return {};
+  if (certified) {
+    std::vector<pid_t> on_cores;
+    for (const auto& worker : wiring_.workers())
+      if (worker->on_core()) on_cores.push_back(worker->thread_id());
+    threads_ = std::make_unique<ThreadWatch>(std::move(on_cores));
+  }
   std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
   if (tells) period = std::min(period, kTellNs);
-  XAUTO_ASSIGN(watchdog_, Watchdog::start(period, [this, tells, claims](std::int64_t now) {
+  XAUTO_ASSIGN(watchdog_, Watchdog::start(period, [this, tells, claims, period](std::int64_t now) {
+                 if (threads_ && asleep_since_ns_ > 0)
+                   threads_->woke(now - asleep_since_ns_, period);
                  for (const auto& worker : wiring_.workers()) {
                    if (const auto job = worker->find_hung(now)) hung(*worker, *job);
                    if (tells) worker->tell_time(now);
                    if (claims) worker->tell_past_wcet(now);
                    if (claims) worker->tell_stuck_call(now);
                  }
+                 look_at_threads(now);
+                 asleep_since_ns_ = xauto::now_ns();
                  role_.looked(now);
                }));
   return {};
@@ -67,7 +78,24 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
 
 void HangWatch::stop() {
   thread_.check();
+  const bool looked = watchdog_ != nullptr;
   watchdog_.reset();
+  if (looked && threads_) threads_->finish();
+}
+
+/// The watchdog of short limits comes more often.
+void HangWatch::look_at_threads(std::int64_t now_ns) {
+  if (!threads_ || now_ns - looked_ns_ < kLookNs) return;
+  looked_ns_ = now_ns;
+  for (const auto& worker : wiring_.workers()) worker->tell_moved();
+  threads_->look(now_ns);
+}
+
+void HangWatch::report(RunReport& into) const {
+  thread_.check();
+  if (!threads_) return;
+  for (TakenReport& one : threads_->taken()) into.taken.push_back(std::move(one));
+  add_note(into.not_watched, threads_->not_watched());
 }
 
 const std::string& HangWatch::note() const {

@@ -11,6 +11,7 @@
 #include "base/thread_safety.h"
 #include "runtime/context.h"
 #include "runtime/role.h"
+#include "runtime/thread_watch.h"
 #include "runtime/watch.h"
 #include "runtime/wiring.h"
 
@@ -25,6 +26,8 @@ class HangWatch {
       const Context& context, const Wiring& wiring, Role& role,
       const std::vector<std::vector<Limits>>& limits);
   void stop();
+  /// What took time away from the run in this process. After `stop`.
+  void report(RunReport& into) const;
   /// What hung, for people. After `stop`.
   [[nodiscard]] const std::string& note() const;
 
@@ -32,13 +35,16 @@ class HangWatch {
   HangWatch(const Context& context, const Wiring& wiring, Role& role)
       : context_(context), wiring_(wiring), role_(role) {}
   [[nodiscard]] Status start(const std::vector<std::vector<Limits>>& limits);
+  void look_at_threads(std::int64_t now_ns);
   void hung(const Worker& worker, const Worker::Hung& job);
 
   OneThread thread_;
   const Context& context_;
   const Wiring& wiring_;
   Role& role_;
-  std::string note_;  ///< of the watchdog's thread
+  std::string note_;                      ///< of the watchdog's thread
+  std::unique_ptr<ThreadWatch> threads_;  ///< of the watchdog's thread; null: nothing is claimed
+  std::int64_t asleep_since_ns_ = 0, looked_ns_ = 0;  ///< likewise
   std::unique_ptr<Watchdog> watchdog_;
 };
 

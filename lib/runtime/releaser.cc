@@ -372,6 +372,7 @@ Status Releaser::release_periodic() {
           static_cast<std::size_t>(context_.graph.topics[static_cast<std::size_t>(s.topic)].source);
       const auto& spec = context_.app.sources[source];
       std::shared_ptr<const void> message;
+      const std::int64_t since_ns = std::max(due, now_ns());
       try {
         message = spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic)));
       } catch (const std::exception& e) {
@@ -379,6 +380,7 @@ Status Releaser::release_periodic() {
                     "the source of topic '" + spec.topic.name + "'");
       }
       Seen& seen = seen_[source];
+      seen.made_late_ns = std::max(seen.made_late_ns, now_ns() - since_ns);
       XAUTO_ASSIGN(const bool says, marked(seen, source, message.get(), s.sequence));
       const bool is_urgent = says && urgent(seen, source, s.sequence);
       samples.push_back(
@@ -457,6 +459,17 @@ std::string Releaser::another_rate(const Seen& seen, const Grid::Source& grid) {
   if (std::max(seen.came, stated) - std::min(seen.came, stated) > 1)
     text += fmt::format("; {} came in the time of {}", seen.came, stated);
   return text;
+}
+
+void Releaser::report(RunReport& into) const {
+  if (tables_) tables_->report(into);
+  for (std::size_t s = 0; s < seen_.size(); ++s)
+    if (const std::int64_t ns = seen_[s].made_late_ns; ns > 0)
+      into.taken.push_back(
+          {fmt::format("the function of source '{}' returned up to {:.2f} ms after "
+                       "its message was due",
+                       context_.graph.sources[s].name, static_cast<double>(ns) * 1e-6),
+           ns / 1000});
 }
 
 std::vector<std::string> Releaser::broken() const {

@@ -48,10 +48,8 @@ class Releaser {
   void stop_watch() {
     if (tables_) tables_->stop_watch();
   }
-  /// Scenarios and switches of a run with tables.
-  void report(RunReport& into) const {
-    if (tables_) tables_->report(into);
-  }
+  /// Scenarios and switches of a run with tables; sources whose functions took too long.
+  void report(RunReport& into) const;
 
  private:
   /// What a source releases: its own number, which is everybody's in its component.
@@ -122,6 +120,8 @@ class Releaser {
     std::uint64_t of = 0;
     std::uint64_t late = 0;  ///< later than the stated jitter
     std::int64_t latest_ns = 0;
+    std::int64_t made_late_ns =
+        0;  ///< polled: the most that making a message took of what was to be its latency
     std::uint64_t off = 0;    ///< pushed: for which its grid had to be moved
     std::uint64_t early = 0;  ///< ... since they came too soon
     std::uint64_t came = 0;   ///< pushed: messages, the first and the last of them when

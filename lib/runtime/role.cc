@@ -80,6 +80,8 @@ class Leader final : public Role, private HubHost {
         continue;
       }
       note(member->note);
+      report.taken.insert(report.taken.end(), member->taken.begin(), member->taken.end());
+      if (report.not_watched.empty()) report.not_watched = member->not_watched;
       lost.insert(member->lost_coordinators.begin(), member->lost_coordinators.end());
     }
     report.lost_coordinators.assign(lost.begin(), lost.end());

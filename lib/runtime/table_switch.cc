@@ -299,9 +299,14 @@ void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
 void TableSwitch::show_spanned(const SwitchReport& change, int from, int to) {
   const std::int64_t worst_us = change.worst_case_us.value_or(0);
   const std::int64_t more_pct = context_.session.emulates() ? kEmulatorPct : 0;
-  context_.board.header().spanned.take({static_cast<std::uint32_t>(from),
-                                        static_cast<std::uint32_t>(to), 0, change.spanned_us,
-                                        worst_us, worst_us + worst_us * more_pct / 100});
+  const Spanned spanned{static_cast<std::uint32_t>(from),
+                        static_cast<std::uint32_t>(to),
+                        0,
+                        change.spanned_us,
+                        worst_us,
+                        worst_us + worst_us * more_pct / 100};
+  context_.board.header().spanned.take(spanned);
+  over_changes_ += spanned.exceeds() ? 1 : 0;
 }
 
 /// From `release` on. Known before that release is published, so by all that have it.
@@ -431,6 +436,7 @@ void TableSwitch::report(RunReport& into) {
     change.worst_case_us = met.claimed_us;
   }
   into.num_switches = num_switches_;
+  into.over_changes = over_changes_;
 }
 
 }  // namespace xauto::runtime

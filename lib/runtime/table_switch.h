@@ -143,7 +143,7 @@ class TableSwitch {
   std::int64_t settled_ns_ = 0;   ///< from then on another change is certified
   std::int64_t released_ns_ = 0;  ///< when the last one that has a table got it
   std::deque<SwitchReport> switches_;
-  std::uint64_t num_switches_ = 0;
+  std::uint64_t num_switches_ = 0, over_changes_ = 0;
   OutsideLog outside_ XAUTO_GUARDED_BY(mutex_);
   std::unique_ptr<ConditionWatch> conditions_;  ///< last: its thread uses the others
 };

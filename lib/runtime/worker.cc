@@ -82,6 +82,7 @@ Status Worker::init_nodes() {
   XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
   (void)pthread_getcpuclockid(pthread_self(), &cpu_clock_);
   tid_ = gettid();
+  if (backend_->on_thread()) given_ = rt::placement_of(tid_);
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this || std::exchange(placed.here->there, true)) continue;
     detail::Made& made = placed.here->made;
@@ -219,9 +220,10 @@ void Worker::skip(std::size_t position, std::uint64_t sequence) {
 void Worker::execute() {
   t_home = this;
   cpu_told_ns_ = clock_ns(cpu_clock_);  // not what the inits took
+  if (backend_->on_thread()) waited_before_ns_ = rt::without_core_ns().value_or(0);
   for (;;) {
     const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
-    if (mail == kQuit) return;
+    if (mail == kQuit) return tell_moved();
     if (mail == 0) {
       if (!holds_) tell_cpu_time();
       futex_wait_local(mailbox_, 0);

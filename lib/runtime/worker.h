@@ -20,6 +20,7 @@
 
 #include <xauto/result.h>
 
+#include "base/rt.h"
 #include "coord/port.h"
 #include "coord/rule.h"
 #include "graph/graph.h"
@@ -140,6 +141,13 @@ class Worker {
   /// Tells the board of the job that runs that it is past its WCET, if it is: it may never end. The thread of
   /// find_hung.
   void tell_past_wcet(std::int64_t now_ns);
+  /// Tells the board if its thread, on a core, has other CPUs or another scheduling policy than it was given.
+  /// Any thread.
+  void tell_moved() const;
+  /// Of its execution thread, from `start` on.
+  [[nodiscard]] pid_t thread_id() const { return tid_; }
+  /// The work of its jobs is that thread.
+  [[nodiscard]] bool on_core() const { return backend_ && backend_->on_thread(); }
   /// Tells the board for how long the job that runs has had its XPU, if that is watched. Any thread.
   void tell_time(std::int64_t now_ns) const;
 
@@ -189,7 +197,8 @@ class Worker {
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
   void begin_timed(const Placed& placed, std::uint64_t sequence);
-  [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns) const;
+  [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns, XNodeLine& line);
+  void tell_waited(std::int64_t without_core_ns, XNodeLine& line);
   [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
   bool end_timed(const Placed& placed);
@@ -237,7 +246,10 @@ class Worker {
   std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
   /// At the begin of the job that runs; below 0: nobody counts it.
   std::atomic<std::int64_t> without_core_since_ns_{-1};
-  std::int64_t cpu_told_ns_ = 0;           ///< ... what is on the board
+  std::int64_t cpu_told_ns_ = 0;  ///< ... what is on the board
+  /// At the end of the job before: for how long it had waited for its core, and others had run there.
+  std::int64_t waited_before_ns_ = 0, others_before_ns_ = 0;
+  rt::Placement given_;                    ///< what it was given; set before its first init
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
   pid_t tid_ = 0;                          ///< likewise
   mutable PiMutex failure_mutex_;

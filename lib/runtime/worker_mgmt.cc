@@ -3,6 +3,7 @@
 // from a more urgent job or from the coordinator. It carries it out through the XPU's backend, and
 // acknowledges. Also how long jobs have had their XPU, and what there is to do about limits (watch.h).
 #include <algorithm>
+#include <utility>
 
 #include "base/clock.h"
 #include "base/counter.h"
@@ -190,11 +191,34 @@ std::int64_t Worker::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
 /// Of a job on a real core, whom the kernel preempts unseen: all of its time but for what it waited in a
 /// run queue. A WCET was measured so, with nobody to wait for: an exec that sleeps for a lock or a file
 /// is on its core.
-std::int64_t Worker::on_core_ns(std::int64_t wall_ns) const {
+std::int64_t Worker::on_core_ns(std::int64_t wall_ns, XNodeLine& line) {
   const std::int64_t since_ns = without_core_since_ns_.load();
   if (since_ns < 0) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
   const std::int64_t until_ns = rt::without_core_ns().value_or(since_ns);
+  tell_waited(until_ns, line);
   return std::max<std::int64_t>(0, wall_ns - (until_ns - since_ns));
+}
+
+/// Since the job before, its wake-up included. Who is more urgent on its core has slept before it runs again,
+/// and told its CPU time then: what is left, nobody of this run had.
+void Worker::tell_waited(std::int64_t without_core_ns, XNodeLine& line) {
+  if (options_.counts == nullptr) return;
+  const std::int64_t others_ns = options_.counts->busy_ns.load() - cpu_told_ns_;
+  const std::int64_t waited_ns =
+      without_core_ns - std::exchange(waited_before_ns_, without_core_ns);
+  const std::int64_t by_others_ns = others_ns - std::exchange(others_before_ns_, others_ns);
+  keep_largest(line.waited_ns, waited_ns - std::max<std::int64_t>(0, by_others_ns));
+}
+
+void Worker::tell_moved() const {
+  if (given_.cpus.empty() || ended_.load() != 0) return;
+  const rt::Placement now = rt::placement_of(tid_);
+  if (now.cpus.empty() || now == given_) return;
+  for (const Placed& placed : chain_.nodes)
+    if (placed.worker == this) {
+      placed.line->moved.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
 }
 
 /// False: the activation was given up meanwhile.
@@ -204,7 +228,8 @@ bool Worker::end_timed(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now);
   if (holds_) options_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
   if (!placed.limited) return true;
-  const std::int64_t took_ns = backend_->on_thread() ? on_core_ns(wall_ns) : own_ns(wall_ns, now);
+  const std::int64_t took_ns =
+      backend_->on_thread() ? on_core_ns(wall_ns, *placed.line) : own_ns(wall_ns, now);
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
   if (placed.watched) line.saw(took_ns, placed.table);
   line.jobs.fetch_add(1, std::memory_order_relaxed);

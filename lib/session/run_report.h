@@ -114,6 +114,12 @@ struct SwitchReport {
 };
 inline constexpr std::size_t kKeptSwitches = 4096;
 
+/// What took time away from the run, and is no job of it: a machine that ran something else.
+struct TakenReport {
+  std::string what;     ///< for people
+  std::int64_t us = 0;  ///< the most at once; of what is only known as a sum, all of it
+};
+
 struct RunReport {
   bool complete = false;                ///< every release was accounted for before the end
   std::string not_complete;             ///< why not, for people
@@ -141,10 +147,15 @@ struct RunReport {
   std::vector<std::string> unkept;
   /// What app.json states and this run saw otherwise: then its claims do not hold; a line each.
   std::vector<std::string> broken;
+  /// Beside `unkept` and `broken`, as far as it is watched. A claim is about a machine that gives a CPU at once.
+  std::vector<TakenReport> taken;
+  std::string not_watched;  ///< why some of that is not watched here; empty: it is
   /// Of a run with tables; empty of others. The last kKeptSwitches of `num_switches`.
   std::vector<ScenarioReport> scenarios;
   std::vector<SwitchReport> switches;
   std::uint64_t num_switches = 0;
+  /// Of all of them, those of which a release that met it took longer than claimed.
+  std::uint64_t over_changes = 0;
   bool several_rates = false;   ///< there are no releases to count, but each sensor's
   std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };

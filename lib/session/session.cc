@@ -87,6 +87,11 @@ void fields(Io io, T& x) {
      "chain", x.chain);
 }
 
+template <class Io, Is<TakenReport> T>
+void fields(Io io, T& x) {
+  io("what", x.what, "us", x.us);
+}
+
 template <class Io, Is<RunReport> T>
 void fields(Io io, T& x) {
   io("complete", x.complete, "not_complete", x.not_complete, "note", x.note, "releases", x.releases,
@@ -95,8 +100,9 @@ void fields(Io io, T& x) {
      x.contexts, "preemptions", x.preemptions, "failed_preemptions", x.failed_preemptions,
      "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
      "overlapping_releases", x.overlapping_releases, "unkept", x.unkept, "broken", x.broken,
-     "scenarios", x.scenarios, "switches", x.switches, "num_switches", x.num_switches,
-     "several_rates", x.several_rates, "recording_error", x.recording_error);
+     "taken", x.taken, "not_watched", x.not_watched, "scenarios", x.scenarios, "switches",
+     x.switches, "num_switches", x.num_switches, "over_changes", x.over_changes, "several_rates",
+     x.several_rates, "recording_error", x.recording_error);
 }
 
 template <class Io, Is<Error> T>

@@ -53,10 +53,16 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
                       r.name, r.over_claim));
   for (const ScenarioReport& s : report.scenarios)
     judge("scenario '" + s.name + "'", s.longest_us, s.worst_case_us);
+  const std::size_t before_changes = claims.exceeded.size();
   for (const SwitchReport& s : report.switches)
     if (s.worst_case_us && s.chain.empty())  // chains are counted above
       judge(fmt::format("change from '{}' to '{}' at release {}", s.from, s.to, s.release),
             s.spanned_us, *s.worst_case_us);
+  // The list has the last changes only; what is judged is all of them.
+  if (const std::size_t listed = claims.exceeded.size() - before_changes;
+      report.over_changes > listed)
+    claims.exceeded.push_back(fmt::format("{} changes of the scenario before the last {}",
+                                          report.over_changes - listed, report.switches.size()));
   return claims;
 }
 

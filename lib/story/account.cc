@@ -288,10 +288,7 @@ std::string reasons_of(const ChainStep& step, std::int64_t least_us) {
     say(step.busy_with.empty() ? "ready " + in_ms(step.handover_us) + " ms after what it follows"
                                : "its module was busy for " + in_ms(step.handover_us) +
                                      " ms with " + names_of(step.busy_with, step.handover_us));
-  if (step.waited_us >= least_us)
-    say("waited " + in_ms(step.waited_us) + " ms" +
-        (step.waited_for.empty() ? ", nobody had the XPU"
-                                 : " for " + names_of(step.waited_for, step.waited_us)));
+  if (step.waited_us >= least_us) say(waited_text(step.waited_us, step.waited_for));
   if (step.suspended_us + step.switched_us >= least_us)
     say("off the XPU for " + in_ms(step.suspended_us + step.switched_us) + " ms" +
         (step.preempted_by.empty()
@@ -302,6 +299,17 @@ std::string reasons_of(const ChainStep& step, std::int64_t least_us) {
     say("ran " + in_ms(step.ran_us - step.planned_us) + " ms longer than planned" +
         (step.beside.empty() ? "" : ", beside " + names_of(step.beside, step.ran_us)));
   return out;
+}
+
+std::string waited_text(std::int64_t us, const std::vector<Blocker>& waited_for) {
+  std::string text = "waited " + in_ms(us) + " ms";
+  if (waited_for.empty()) return text + ", nobody had the XPU";
+  std::int64_t had_us = 0;
+  for (const Blocker& one : waited_for) had_us += one.us;
+  text += " for " + names_of(waited_for, us);
+  if (us - had_us >= kWorthSayingUs)
+    text += "; for " + in_ms(us - had_us) + " ms of it nobody had the XPU";
+  return text;
 }
 
 std::string account_text(const Account& account) {

@@ -70,6 +70,9 @@ inline constexpr std::int64_t kWorthSayingUs = 50;
 /// What a step waited for, in words; parts below `least_us` are left out. Empty: nothing to say.
 [[nodiscard]] std::string reasons_of(const ChainStep& step, std::int64_t least_us);
 
+/// "waited 3.100 ms for a (3.000)", and for how long of it nobody had the XPU.
+[[nodiscard]] std::string waited_text(std::int64_t us, const std::vector<Blocker>& waited_for);
+
 /// The whole account for people.
 [[nodiscard]] std::string account_text(const Account& account);
 

@@ -34,11 +34,11 @@ class Tracer {
   bool trace_back(const std::string& xnode, std::int64_t activation, ChainStory& into) {
     std::vector<std::pair<std::int64_t, std::string>> front = {{activation, xnode}};
     if (!parts_.contains(front.front())) return false;
-    std::set<std::pair<std::int64_t, std::string>> seen(front.begin(), front.end());
+    seen_ = {front.begin(), front.end()};
     std::set<int> sensors;
     const auto visit = [&](int slice) {
       const TraceSlice& s = trace_.run[at(slice)];
-      if (std::pair key{s.activation, s.name}; parts_.contains(key) && seen.insert(key).second)
+      if (std::pair key{s.activation, s.name}; parts_.contains(key) && seen_.insert(key).second)
         front.push_back(std::move(key));
     };
     for (std::size_t next = 0; next < front.size(); ++next) {
@@ -68,7 +68,71 @@ class Tracer {
     return true;
   }
 
+  /// After trace_back: what became of the release itself, where what it found is of a newer one.
+  void follow(std::size_t release, std::int64_t until_ns, ChainStory& into) const {
+    std::set<std::string> on_the_way;
+    for (const StoryJob& job : into.jobs) on_the_way.insert(job.xnode);
+    const TraceRelease& itself = trace_.releases[release];
+    const std::set<Job> knows = made_of(until_ns, [&](int r) { return at(r) == release; });
+    const std::set<Job> newer = made_of(until_ns, [&](int r) {
+      const TraceRelease& other = trace_.releases[at(r)];
+      return other.source == itself.source && other.number > itself.number;
+    });
+    for (const auto& [key, parts] : parts_) {
+      const TraceSlice& first = trace_.run[parts.front()];
+      if (seen_.contains(key) || !on_the_way.contains(first.name) || first.begin_ns >= until_ns)
+        continue;
+      if (knows.contains(key))
+        into.own.push_back(job_of(parts));
+      else if (!first.samples.empty() && !newer.contains(key) && first.begin_ns >= itself.begin_ns)
+        into.missed.push_back(job_of(parts));
+    }
+    for (std::vector<StoryJob>* list : {&into.own, &into.missed})
+      std::stable_sort(list->begin(), list->end(), [](const StoryJob& a, const StoryJob& b) {
+        return a.began_us < b.began_us;
+      });
+  }
+
  private:
+  using Job = std::pair<std::int64_t, std::string>;  ///< (activation, XNode)
+
+  /// The jobs until then that are made of such a release.
+  template <class Is>
+  [[nodiscard]] std::set<Job> made_of(std::int64_t until_ns, Is is) const {
+    std::set<Job> jobs;
+    std::vector<char> marked(trace_.run.size(), 0);
+    const auto is_marked = [&](int slice) { return slice >= 0 && marked[at(slice)] != 0; };
+    for (std::size_t i = 0; i < trace_.run.size() && trace_.run[i].begin_ns < until_ns; ++i) {
+      const TraceSlice& s = trace_.run[i];
+      if (s.activation < 0) continue;
+      const bool knows =
+          jobs.contains({s.activation, s.name}) ||
+          std::any_of(s.releases.begin(), s.releases.end(), is) ||
+          std::any_of(s.from.begin(), s.from.end(), is_marked) ||
+          std::any_of(s.samples.begin(), s.samples.end(), [&](const TraceSample& sample) {
+            return is_marked(sample.slice) || (sample.release >= 0 && is(sample.release));
+          });
+      if (!knows) continue;
+      marked[i] = 1;
+      jobs.emplace(s.activation, s.name);
+    }
+    return jobs;
+  }
+
+  [[nodiscard]] std::vector<Blocker> on_row(const TraceSlice& job, std::int64_t from_ns,
+                                            std::int64_t to_ns) const {
+    std::vector<Blocker> list;
+    for (const TraceSlice& s : trace_.run) {
+      if (s.begin_ns >= to_ns) break;  // they come by begin
+      if (s.row != job.row || s.category != "run" || s.end_ns <= from_ns || &s == &job) continue;
+      const std::int64_t us = (std::min(to_ns, s.end_ns) - std::max(from_ns, s.begin_ns)) / 1000;
+      if (us > 0) list.push_back({fmt::format("{} {}", s.name, s.release), us});
+    }
+    std::stable_sort(list.begin(), list.end(),
+                     [](const Blocker& a, const Blocker& b) { return a.us > b.us; });
+    return list;
+  }
+
   [[nodiscard]] std::int64_t since(std::int64_t ns) const { return (ns - zero_ns_) / 1000; }
 
   [[nodiscard]] StoryJob job_of(const std::vector<std::size_t>& parts) const {
@@ -85,6 +149,12 @@ class Tracer {
       job.ran_us += (trace_.run[part].end_ns - trace_.run[part].begin_ns) / 1000;
     if (first.since_release_us) job.released_us = job.began_us - *first.since_release_us;
     if (job.released_us && first.key_us) job.key_us = *job.released_us + *first.key_us;
+    if (job.released_us && first.hold_us) job.held_until_us = *job.released_us + *first.hold_us;
+    if (first.from.empty() && first.released_ns > 0)
+      job.late_us = job.ready_us - since(first.released_ns);
+    const std::int64_t free_us = std::max(job.ready_us, job.held_until_us.value_or(job.ready_us));
+    if (job.began_us > free_us)
+      job.waited_for = on_row(first, zero_ns_ + free_us * 1000, first.begin_ns);
     job.lateness_us = last.lateness_us;
     for (const TraceSample& sample : first.samples)
       job.reads.push_back({sample.read, sample.number, since(sample.at_ns), sample.age_us});
@@ -94,7 +164,8 @@ class Tracer {
   const ReadTrace& trace_;
   const std::int64_t zero_ns_;
   /// (activation, XNode) -> slices, by begin
-  std::map<std::pair<std::int64_t, std::string>, std::vector<std::size_t>> parts_;
+  std::map<Job, std::vector<std::size_t>> parts_;
+  std::set<Job> seen_;  ///< by trace_back
 };
 
 std::string or_dash(const std::optional<std::int64_t>& us, bool sign = false) {
@@ -126,10 +197,37 @@ Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
   story.of = static_cast<std::int64_t>(list.size());
   story.rank = std::find(list.begin(), list.end(), &release) - list.begin() + 1;
   story.median_us = list[list.size() / 2]->reaction_us;
-  if (!Tracer(trace, release.released_ns).trace_back(release.xnode, release.activation, story))
+  Tracer tracer(trace, release.released_ns);
+  if (!tracer.trace_back(release.xnode, release.activation, story))
     return fail(ErrorCode::kInfeasible, "the job that knew it first is not in the trace",
                 fmt::format("{}, release {}", chain.name, release.number));
+  const auto itself =
+      std::find_if(trace.releases.begin(), trace.releases.end(), [&](const TraceRelease& r) {
+        return r.number == release.number && r.begin_ns == release.released_ns;
+      });
+  if (itself != trace.releases.end())
+    tracer.follow(static_cast<std::size_t>(itself - trace.releases.begin()),
+                  release.released_ns + release.reaction_us * 1000, story);
   return story;
+}
+
+std::string reasons_of(const StoryJob& job) {
+  std::string out;
+  const auto say = [&](const std::string& text) { out += (out.empty() ? "" : "; ") + text; };
+  if (job.late_us >= kWorthSayingUs)
+    say("its source came " + in_ms(job.late_us) + " ms after the release");
+  std::int64_t free_us = job.ready_us;
+  if (job.held_until_us && *job.held_until_us > job.ready_us) {
+    free_us = std::min(*job.held_until_us, job.began_us);
+    if (free_us - job.ready_us >= kWorthSayingUs)
+      say("held until " + in_ms(*job.held_until_us) + " by its policy");
+  }
+  if (job.began_us - free_us >= kWorthSayingUs)
+    say(waited_text(job.began_us - free_us, job.waited_for));
+  if (const std::int64_t off_us = job.ended_us - job.began_us - job.ran_us;
+      off_us >= kWorthSayingUs)
+    say("off the XPU for " + in_ms(off_us) + " ms");
+  return out;
 }
 
 std::string story_text(const ChainStory& story) {
@@ -143,8 +241,8 @@ std::string story_text(const ChainStory& story) {
   std::size_t width = 12;
   for (const StoryJob& job : story.jobs) width = std::max(width, job.xnode.size());
   for (const StorySensor& sensor : story.sensors) width = std::max(width, sensor.source.size() + 7);
-  out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10} {:>10} {:>10} {:>10} {:>9}\n", "XNode", width,
-                     "n", "on", "ready", "began", "ended", "key", "lateness");
+  out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10} {:>10} {:>10} {:>10} {:>9}  why\n", "XNode",
+                     width, "n", "on", "ready", "began", "ended", "key", "lateness");
   std::size_t next = 0;
   const auto sensors_until = [&](std::int64_t us) {
     for (; next < story.sensors.size() && story.sensors[next].released_us <= us; ++next) {
@@ -153,20 +251,33 @@ std::string story_text(const ChainStory& story) {
                          sensor.number, "released", in_ms(sensor.released_us));
     }
   };
-  for (const StoryJob& job : story.jobs) {
-    sensors_until(job.began_us);
-    out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10} {:>10} {:>10} {:>10} {:>9}\n", job.xnode,
+  const auto tell = [&](const StoryJob& job) {
+    out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10} {:>10} {:>10} {:>10} {:>9}  {}\n", job.xnode,
                        width, job.number, job.xpu, in_ms(job.ready_us), in_ms(job.began_us),
-                       in_ms(job.ended_us), or_dash(job.key_us), or_dash(job.lateness_us, true));
+                       in_ms(job.ended_us), or_dash(job.key_us), or_dash(job.lateness_us, true),
+                       reasons_of(job));
     for (const StoryRead& read : job.reads)
       out += read.number < 0
                  ? fmt::format("    read of {}: nothing\n", read.read)
                  : fmt::format("    read {} {}, {}\n", read.read, read.number,
                                read.age_us < 0 ? "whose release is not in the trace"
                                                : in_ms(read.age_us) + " ms after its release");
+  };
+  for (const StoryJob& job : story.jobs) {
+    sensors_until(job.began_us);
+    tell(job);
   }
   sensors_until(INT64_MAX);
   if (story.cut) out += fmt::format("  It goes back further; {} jobs are shown.\n", kMostStoryJobs);
+  if (!story.own.empty()) {
+    out +=
+        fmt::format("\n  Also made of release {}, and not what is told above:\n\n", story.number);
+    for (const StoryJob& job : story.own) tell(job);
+  }
+  if (!story.missed.empty()) {
+    out += fmt::format("\n  On the same way meanwhile, without release {}:\n\n", story.number);
+    for (const StoryJob& job : story.missed) tell(job);
+  }
   const StoryJob* latest = nullptr;
   for (const StoryJob& job : story.jobs)
     if (job.lateness_us && (latest == nullptr || *job.lateness_us > *latest->lateness_us))

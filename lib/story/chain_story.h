@@ -11,6 +11,7 @@
 
 #include <xauto/result.h>
 
+#include "story/account.h"
 #include "story/trace_reader.h"
 
 namespace xauto::story {
@@ -29,7 +30,10 @@ struct StoryJob {
   std::int64_t number = 0;
   std::int64_t ready_us = 0, began_us = 0, ended_us = 0, ran_us = 0;
   std::optional<std::int64_t> released_us, key_us;  ///< of its activation, by its policy
-  std::optional<std::int64_t> lateness_us;          ///< end less key; negative: early
+  std::optional<std::int64_t> held_until_us;        ///< likewise: it must not begin earlier
+  std::int64_t late_us = 0;  ///< of a job that a sensor fires: ready so long after the release
+  std::vector<Blocker> waited_for;          ///< who had its XPU while it was ready, and not held
+  std::optional<std::int64_t> lateness_us;  ///< end less key; negative: early
   std::vector<StoryRead> reads;
 };
 
@@ -45,7 +49,10 @@ struct ChainStory {
   std::int64_t rank = 1, of = 1, median_us = 0;  ///< rank 1: the longest
   std::vector<StorySensor> sensors;              ///< by time
   std::vector<StoryJob> jobs;                    ///< by begin
-  bool cut = false;                              ///< it goes back further than kMostStoryJobs
+  /// Of the XNodes on that way, by begin, until the end of `jobs`: what else was made of the release, and what
+  /// began after it and had neither it nor a newer one.
+  std::vector<StoryJob> own, missed;
+  bool cut = false;  ///< it goes back further than kMostStoryJobs
 };
 
 inline constexpr std::size_t kMostStoryJobs = 500;
@@ -58,6 +65,9 @@ inline constexpr std::size_t kMostStoryJobs = 500;
 /// Errors (kInfeasible): the job that knew it first is not in the trace.
 [[nodiscard]] Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
                                           const TraceReactions::One& release);
+
+/// Why a job did not end sooner, in words; empty: nothing but its work.
+[[nodiscard]] std::string reasons_of(const StoryJob& job);
 
 /// For people, without the verdict on the claims.
 [[nodiscard]] std::string story_text(const ChainStory& story);

@@ -7,11 +7,13 @@
 #include <algorithm>
 #include <map>
 #include <numeric>
+#include <sstream>
 
 #include <fmt/format.h>
 
 #include "base/quantile.h"
 #include "story/account.h"
+#include "story/chain_story.h"
 #include "story/timeline.h"
 
 namespace xauto::story {
@@ -73,6 +75,14 @@ std::string histogram(const Latencies& sorted, std::int64_t from, std::int64_t t
   return svg + "</svg>";
 }
 
+/// Where the trace has lost its beginning, no number is of the whole run.
+std::string window_of(const ReadTrace& trace) {
+  return trace.overwritten == 0
+             ? ""
+             : fmt::format(" (of the last {:.1f} s)",
+                           static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9);
+}
+
 std::string chains_section(const ReadTrace& trace) {
   const auto outputs = latencies_by_output(trace);
   if (outputs.empty()) return "<p class='dim'>No latency: no result is in the trace.</p>";
@@ -81,22 +91,99 @@ std::string chains_section(const ReadTrace& trace) {
     from = std::min(from, list.front());
     to = std::max(to, list.back());
   }
+  const bool deadline = trace.deadline_us >= 0;
   std::string html = fmt::format(
-      "<table><tr><th>output of, "
-      "ms</th><th>n</th><th>p50</th><th>p99</th><th>max</th><th>misses</th>"
+      "<table><tr><th>output of, ms{}</th><th>n</th><th>p50</th><th>p99</th><th>max</th>{}"
       "<th style='text-align:left'>from {} to {} ms</th></tr>",
-      ms(from), ms(to));
+      window_of(trace), deadline ? "<th>missed</th>" : "", ms(from), ms(to));
   for (const auto& [name, list] : outputs) {
     const auto misses = std::count_if(list.begin(), list.end(), [&](std::int64_t us) {
-      return trace.deadline_us >= 0 && us > trace.deadline_us;
+      return deadline && us > trace.deadline_us;
     });
     html += fmt::format(
-        "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>"
+        "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>{}"
         "<td style='text-align:left'>{}</td></tr>",
         html_safe(name), list.size(), ms(quantile_of_sorted(list, 0.5)),
         ms(quantile_of_sorted(list, 0.99)), ms(list.back()),
-        trace.deadline_us < 0 ? "no deadline" : std::to_string(misses), histogram(list, from, to));
+        deadline ? fmt::format("<td>{}</td>", misses) : "", histogram(list, from, to));
   }
+  return html + "</table>";
+}
+
+/// Counts of the whole run; of one that goes on, of what the trace has.
+std::vector<ChainCounts> counts_of(const ReadTrace& trace) {
+  if (!trace.counts.empty()) return trace.counts;
+  std::vector<ChainCounts> list;
+  for (const TraceReactions& chain : trace.reactions) {
+    ChainCounts counts{chain.name, static_cast<std::int64_t>(chain.releases.size())};
+    Latencies us;
+    for (const TraceReactions::One& one : chain.releases) us.push_back(one.reaction_us);
+    std::sort(us.begin(), us.end());
+    if (!us.empty()) {
+      counts.p50_us = quantile_of_sorted(us, 0.5);
+      counts.p99_us = quantile_of_sorted(us, 0.99);
+      counts.max_us = us.back();
+    }
+    counts.deadline_us = chain.deadline_us;
+    if (chain.deadline_us >= 0)
+      counts.misses = us.end() - std::upper_bound(us.begin(), us.end(), chain.deadline_us);
+    list.push_back(std::move(counts));
+  }
+  return list;
+}
+
+/// Line by line; what begins with a dash is an item.
+std::string verdict_html(const std::string& verdict) {
+  std::string html = "<p>", line;
+  std::istringstream lines(verdict);
+  bool listed = false;
+  while (std::getline(lines, line)) {
+    line.erase(0, line.find_first_not_of(' '));
+    if (!line.starts_with("- ")) {
+      html += (listed ? "</ul>" : "") + html_safe(line) + " ";
+      listed = false;
+      continue;
+    }
+    html += (listed ? "<li>" : "<ul><li>") + html_safe(line.substr(2)) + "</li>";
+    listed = true;
+  }
+  return html + (listed ? "</ul>" : "</p>");
+}
+
+/// Of an app of version 2: the way of its slowest release, job by job.
+std::string story_section(const ReadTrace& trace, const TraceReactions& chain) {
+  const TraceReactions::One* worst = worst_of(chain);
+  if (worst == nullptr) return {};
+  std::string html =
+      fmt::format("<h2>Slowest release of {}{}: {}, {} ms</h2>", html_safe(chain.name),
+                  window_of(trace), worst->number, ms(worst->reaction_us));
+  const auto story = story_of(trace, chain, *worst);
+  if (!story) return html + "<p class='dim'>" + html_safe(story.error().to_string()) + "</p>";
+  html +=
+      "<table class='worst'><tr><th>XNode, ms since then</th><th style='text-align:left'>on</th>"
+      "<th>ready</th><th>began</th><th>ended</th><th>key</th>"
+      "<th style='text-align:left'>why not sooner</th></tr>";
+  const auto tell = [&](const StoryJob& job) {
+    std::string why = reasons_of(job);
+    for (const StoryRead& read : job.reads)
+      why += fmt::format("{}read {} {}", why.empty() ? "" : "; ", read.read,
+                         read.number < 0 ? "(nothing)" : std::to_string(read.number));
+    html += fmt::format(
+        "<tr><td>{} {}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
+        "<td>{}</td><td style='text-align:left'>{}</td></tr>",
+        html_safe(job.xnode), job.number, html_safe(job.xpu), ms(job.ready_us), ms(job.began_us),
+        ms(job.ended_us), job.key_us ? ms(*job.key_us) : "", html_safe(why));
+  };
+  const auto head = [&](const std::string& text) {
+    html += "<tr><td colspan='7' class='dim'>" + text + "</td></tr>";
+  };
+  for (const StoryJob& job : story->jobs) tell(job);
+  if (!story->own.empty())
+    head(fmt::format("also made of {}, and not what is told above:", worst->number));
+  for (const StoryJob& job : story->own) tell(job);
+  if (!story->missed.empty())
+    head(fmt::format("on the same way meanwhile, without {}:", worst->number));
+  for (const StoryJob& job : story->missed) tell(job);
   return html + "</table>";
 }
 
@@ -109,27 +196,33 @@ std::string worst_section(const ReadTrace& trace, const TraceRelease* worst,
   if (!account) return "<p class='dim'>" + html_safe(account.error().to_string()) + "</p>";
   std::int64_t ran = 0;
   for (const ChainStep& step : account->steps) ran += step.ran_us;
+  const bool planned = std::any_of(account->steps.begin(), account->steps.end(),
+                                   [](const ChainStep& step) { return step.planned_us >= 0; });
   std::string html = fmt::format(
-      "<h2>What set the worst case{}: release {}, {} ms</h2><p class='dim'>Backwards from the last "
+      "<h2>Slowest release{}{}: {}, {} ms</h2><p class='dim'>Backwards from the last "
       "output, always to the one that handed over last. {} ms of it is work. What the steps took "
       "adds "
       "up to the latency.</p><table class='worst'><tr><th>step</th><th "
       "style='text-align:left'>on</th>"
-      "<th>took</th><th>begins</th><th>ends</th><th>work</th><th>planned work</th>"
+      "<th>took</th><th>begins</th><th>ends</th><th>work</th>{}"
       "<th style='text-align:left'>why not sooner</th></tr>",
-      chain != nullptr ? " of " + html_safe(chain->name) : "", worst->number, ms(worst->latency_us),
-      ms(ran));
+      chain != nullptr ? " of " + html_safe(chain->name) : "", window_of(trace), worst->number,
+      ms(worst->latency_us), ms(ran), planned ? "<th>planned work</th>" : "");
   for (const ChainStep& step : account->steps)
     html += fmt::format(
         "<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
-        "<td>{}</td><td>{}</td><td style='text-align:left'>{}</td></tr>",
+        "<td>{}</td>{}<td style='text-align:left'>{}</td></tr>",
         html_safe(step.xnode), html_safe(step.xpu), in_ms(step.took_us()), ms(step.begin_us),
-        ms(step.end_us), ms(step.ran_us), step.planned_us < 0 ? "" : ms(step.planned_us),
+        ms(step.end_us), ms(step.ran_us),
+        !planned              ? ""
+        : step.planned_us < 0 ? "<td></td>"
+                              : "<td>" + ms(step.planned_us) + "</td>",
         html_safe(reasons_of(step, kWorthSayingUs)));
   return html + fmt::format(
                     "<tr><td>published</td><td></td><td>{}</td><td></td><td>{}</td><td></td>"
-                    "<td></td><td></td></tr></table>",
-                    in_ms(account->publish_us), ms(account->latency_us));
+                    "{}<td></td></tr></table>",
+                    in_ms(account->publish_us), ms(account->latency_us),
+                    planned ? "<td></td>" : "");
 }
 
 /// Of a run with tables: its scenarios, the last changes with their reasons, and what met them.
@@ -316,6 +409,41 @@ std::vector<Panel> chain_panels(const std::string& id, const std::string& name,
   return panels;
 }
 
+std::string counts_section(const std::string& title, const ReadTrace& trace) {
+  const std::vector<ChainCounts> list = counts_of(trace);
+  if (list.empty()) return {};
+  const auto time = [](std::int64_t us) { return us < 0 ? std::string("-") : ms(us); };
+  const auto any = [&](std::int64_t ChainCounts::*of) {
+    return std::any_of(list.begin(), list.end(), [&](const ChainCounts& c) { return c.*of >= 0; });
+  };
+  const bool claims = any(&ChainCounts::worst_case_us), deadlines = any(&ChainCounts::deadline_us);
+  const std::string of = !trace.counts.empty() ? " (whole run)" : window_of(trace);
+  std::string html = fmt::format(
+      "<h2>{}</h2><table class='counts'><tr><th>chain, "
+      "ms{}</th><th>n</th><th>p50</th><th>p99</th><th>max</th>{}{}"
+      "</tr>",
+      html_safe(title), of, claims ? "<th>worst case</th><th>bound</th><th></th>" : "",
+      deadlines ? "<th>deadline</th><th>missed</th>" : "");
+  for (const ChainCounts& c : list) {
+    html +=
+        fmt::format("<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
+                    html_safe(c.name), c.results, time(c.p50_us), time(c.p99_us), time(c.max_us));
+    if (claims)
+      html += fmt::format("<td>{}</td><td>{}</td><td>{}</td>", time(c.worst_case_us),
+                          time(c.lower_bound_us),
+                          c.exceeded                   ? "<b>exceeded</b>"
+                          : c.worst_case_us < 0        ? ""
+                          : c.max_us > c.worst_case_us ? "within the emulator's part"
+                                                       : "within");
+    if (deadlines)
+      html += fmt::format("<td>{}</td><td>{}</td>", time(c.deadline_us),
+                          c.misses < 0 ? "" : std::to_string(c.misses));
+    html += "</tr>";
+  }
+  return "<div class='card'>" + html + "</table>" +
+         (trace.verdict.empty() ? "" : verdict_html(trace.verdict)) + "</div>";
+}
+
 std::string html_report(const std::vector<ReportedTrace>& traces) {
   Timeline page;
   page.note = "written by xauto report; each chart shows the slowest release";
@@ -336,9 +464,14 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
       page.sections +=
           fmt::format("<p>The trace holds {:.1f} s: {} older events were dropped.</p>",
                       static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9, trace.overwritten);
-    page.sections += chains_section(trace) + worst_section(trace, worst, nullptr);
-    for (const TraceChain& chain : trace.chains)
-      page.sections += worst_section(trace, worst_of(chain.results), &chain);
+    page.sections += counts_section("Chains", trace) + chains_section(trace);
+    if (trace.reactions.empty()) {
+      page.sections += worst_section(trace, worst, nullptr);
+      for (const TraceChain& chain : trace.chains)
+        page.sections += worst_section(trace, worst_of(chain.results), &chain);
+    }
+    for (const TraceReactions& chain : trace.reactions)
+      page.sections += story_section(trace, chain);
     page.sections += tables_section(trace) + load_section(trace) + "</div>";
     if (trace.chains.empty()) page.panels.push_back(panel_of(id_of(traces[i], i), trace, worst));
     for (Panel& panel : chain_panels(id_of(traces[i], i), policy_of(trace), trace))

@@ -22,6 +22,10 @@ struct ReportedTrace {
 [[nodiscard]] std::vector<Panel> chain_panels(const std::string& id, const std::string& name,
                                               const ReadTrace& trace);
 
+/// A table of its chains beside what is claimed of them, as the whole run counted them, and what became of
+/// the claims; of a run that goes on, and where nothing is counted by chain, what the trace has, or nothing.
+[[nodiscard]] std::string counts_section(const std::string& title, const ReadTrace& trace);
+
 [[nodiscard]] std::string html_report(const std::vector<ReportedTrace>& traces);
 
 }  // namespace xauto::story

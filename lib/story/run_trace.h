@@ -14,6 +14,7 @@
 #include "model/tables.h"
 #include "solver/simulate.h"
 #include "story/story.h"
+#include "story/trace_reader.h"
 
 namespace xauto::story {
 
@@ -49,6 +50,7 @@ struct Scene {
   std::vector<ScenarioInfo> scenarios;   ///< empty: the run goes on
   std::vector<ChangeInfo> changes;       ///< likewise; the last ones
   std::vector<ChainClaim> claims;        ///< [chain]; empty: nothing is claimed
+  std::vector<ChainCounts> counts;       ///< of a run that is over
   std::string verdict;                   ///< ... and what became of it in this run
 };
 

@@ -38,12 +38,32 @@ void paint_spans(PerfettoWriter& out, Track parent, const std::string& title,
   }
 }
 
+/// Of the whole run, where its trace begins.
+void paint_counts(PerfettoWriter& out, Track group, const ChainCounts& counts,
+                  std::int64_t begin_ns) {
+  Details details{"counts", {{"chain", counts.name}, {"results", counts.results}}, {}, {}};
+  const auto add = [&](const char* name, std::int64_t value) {
+    if (value >= 0) details.args.emplace_back(name, value);
+  };
+  add("p50_us", counts.p50_us);
+  add("p99_us", counts.p99_us);
+  add("max_us", counts.max_us);
+  add("worst_case_us", counts.worst_case_us);
+  add("lower_bound_us", counts.lower_bound_us);
+  add("deadline_us", counts.deadline_us);
+  add("misses", counts.misses);
+  if (counts.exceeded) add("exceeded", 1);
+  out.instant(group, begin_ns, "chain '" + counts.name + "' in the whole run", std::move(details));
+}
+
 }  // namespace
 
 void paint_chains(PerfettoWriter& out, Track root, const AppSpec& app, const Scene& scene,
                   const Story& story) {
-  if (app.version != 2) return;
+  if (app.version != 2 && scene.counts.empty()) return;
   const Track group = out.add_track(root, "chains", scene.verdict);
+  for (const ChainCounts& counts : scene.counts) paint_counts(out, group, counts, story.begin_ns);
+  if (app.version != 2) return;
   std::vector<std::vector<Span>> spans(std::min(app.chains.size(), kMaxChains));
   for (const Reaction& reaction : reactions_of(app, story)) {
     if (at(reaction.chain) >= spans.size()) break;  // they come by chain
@@ -144,6 +164,7 @@ void paint_samples(PerfettoWriter& out, Track root, const AppSpec& app, const Sc
 
 void tell_window(const ObservedWindow& window, std::int64_t began_ns, Details& first) {
   first.args.emplace_back("since_release_us", (began_ns - window.released_ns) / 1000);
+  first.args.emplace_back("hold_us", (window.begin_ns - window.released_ns) / 1000);
   first.args.emplace_back("key_us", (window.key_ns - window.released_ns) / 1000);
 }
 

@@ -535,26 +535,4 @@ std::vector<ModuleInfo> modules_of(const AppSpec& app, const trace::Recording& t
   return modules;
 }
 
-Overruns overruns_of(const AppSpec& app, const Platform& platform, const Story& story,
-                     const std::vector<bool>& seen) {
-  Overruns over;
-  for (const JobStory& job : story.jobs) {
-    const auto xpu = static_cast<std::size_t>(job.xpu);
-    const auto wcet_us =
-        app.xnodes[static_cast<std::size_t>(job.xnode)].wcet_on(platform.xpus[xpu].type);
-    if (!job.complete || !wcet_us || !seen[xpu]) continue;
-    std::int64_t ran_ns = 0;
-    for (const Phase& phase : job.phases)
-      if (phase.kind == PhaseKind::kRunning) ran_ns += phase.end_ns - phase.begin_ns;
-    const std::int64_t over_us = ran_ns / 1000 - *wcet_us;
-    if (over_us <= 0) continue;
-    ++over.count;
-    if (over_us > over.worst_us) {
-      over.worst_us = over_us;
-      over.worst = job.xnode;
-    }
-  }
-  return over;
-}
-
 }  // namespace xauto::story

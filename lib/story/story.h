@@ -131,16 +131,6 @@ struct Story {
 /// Who the modules of a trace are, from its own jobs: index and XNode come together in them.
 [[nodiscard]] std::vector<ModuleInfo> modules_of(const AppSpec& app, const trace::Recording& trace);
 
-/// Jobs that ran for longer than their WCET.
-struct Overruns {
-  std::uint64_t count = 0;
-  int worst = -1;  ///< XNode of the one that did by most
-  std::int64_t worst_us = 0;
-};
-/// `seen`: of each XPU whether the trace tells all that runs there. Nothing is said of the others.
-[[nodiscard]] Overruns overruns_of(const AppSpec& app, const Platform& platform, const Story& story,
-                                   const std::vector<bool>& seen);
-
 [[nodiscard]] const char* drop_reason(std::uint32_t reason);
 
 }  // namespace xauto::story

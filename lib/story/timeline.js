@@ -31,15 +31,16 @@ $("note").textContent = DATA.note;
 // ---- the table: the answer in one look
 const base = DATA.panels.find(p => p.id === "ros2");
 const worst = Math.max(1, ...DATA.panels.map(p => p.p99));
+const planned = DATA.panels.some(p => p.predicted !== null);
 const head = html($("table"), "tr");
-for (const t of ["policy, end-to-end latency in ms", "p99", "", "p50", "max", "simulated", base ? "times faster than ROS 2 (p99)" : ""]) html(head, "th", t);
+for (const t of ["policy, end-to-end latency in ms", "p99", "", "p50", "max"].concat(planned ? ["simulated"] : [], base ? ["times faster than ROS 2 (p99)"] : [])) html(head, "th", t);
 for (const p of DATA.panels) {
   const row = html($("table"), "tr");
   html(row, "td", p.name);
   html(row, "td", ms(p.p99)).style.fontWeight = 650;
   html(html(row, "td", undefined, "bar"), "div").style.width = (100 * p.p99 / worst) + "%";
-  for (const v of [p.p50, p.max, p.predicted]) html(row, "td", ms(v));
-  html(row, "td", base && base.p99 !== null && p.p99 !== null ? (base.p99 / Math.max(1, p.p99)).toFixed(2) + "\u00d7" : "");
+  for (const v of [p.p50, p.max].concat(planned ? [p.predicted] : [])) html(row, "td", ms(v));
+  if (base) html(row, "td", base.p99 !== null && p.p99 !== null ? (base.p99 / Math.max(1, p.p99)).toFixed(2) + "\u00d7" : "");
 }
 
 // ---- the legend: click a module to single it out
@@ -54,7 +55,7 @@ for (const m of modules) {
     draw();
   };
 }
-for (const [text, style] of [["measured", "background:var(--dim)"], ["plan", "border:1.5px solid var(--dim)"],
+for (const [text, style] of [["measured", "background:var(--dim)"], ...(planned ? [["plan", "border:1.5px solid var(--dim)"]] : []),
                              ["waiting", "background:var(--dim);opacity:.25"],
                              ["suspended or switching", "background:repeating-linear-gradient(45deg,var(--dim) 0 2px,transparent 2px 5px)"]]) {
   const k = html($("legend"), "span", undefined, "key");

@@ -125,7 +125,7 @@ class TraceFile {
   int chain_of(const std::string& name) {
     auto at = std::find_if(out_.reactions.begin(), out_.reactions.end(),
                            [&](const TraceReactions& c) { return c.name == name; });
-    if (at == out_.reactions.end()) at = out_.reactions.insert(at, {name, {}, {}});
+    if (at == out_.reactions.end()) at = out_.reactions.insert(at, {name, {}, -1, {}});
     return static_cast<int>(at - out_.reactions.begin());
   }
 
@@ -182,6 +182,8 @@ class TraceFile {
       for (const std::uint64_t flow : event.flow_ids()) released_[flow] = index;
     } else if (track.place == Place::kChain) {
       if (slice) take_reaction(event, track, ts);
+    } else if (track.place == Place::kChains) {
+      take_counts(event);
     } else if (track.place == Place::kSamples) {
       take_sample(event, ts);
     } else if (track.place == Place::kTables) {
@@ -210,6 +212,24 @@ class TraceFile {
     return {};
   }
 
+  void take_counts(const proto::TrackEvent& event) {
+    ChainCounts counts;
+    for (const auto& arg : event.debug_annotations()) {
+      if (arg.name() == "chain") counts.name = arg.string_value();
+      if (arg.name() == "results") counts.results = arg.int_value();
+      if (arg.name() == "misses") counts.misses = arg.int_value();
+      if (arg.name() == "exceeded") counts.exceeded = arg.int_value() != 0;
+      if (!is_time(arg.int_value()) || arg.int_value() < 0) continue;
+      if (arg.name() == "p50_us") counts.p50_us = arg.int_value();
+      if (arg.name() == "p99_us") counts.p99_us = arg.int_value();
+      if (arg.name() == "max_us") counts.max_us = arg.int_value();
+      if (arg.name() == "worst_case_us") counts.worst_case_us = arg.int_value();
+      if (arg.name() == "lower_bound_us") counts.lower_bound_us = arg.int_value();
+      if (arg.name() == "deadline_us") counts.deadline_us = arg.int_value();
+    }
+    out_.counts.push_back(std::move(counts));
+  }
+
   void take_reaction(const proto::TrackEvent& event, const Track& track, std::int64_t ts) {
     TraceReactions::One one{0, ts, 0, {}, -1, false};
     for (const auto& arg : event.debug_annotations()) {
@@ -218,6 +238,8 @@ class TraceFile {
       if (arg.name() == "xnode") one.xnode = arg.string_value();
       if (arg.name() == "activation") one.activation = arg.int_value();
       if (arg.name() == "urgent") one.urgent = arg.int_value() != 0;
+      if (arg.name() == "deadline_us" && is_time(arg.int_value()))
+        out_.reactions[static_cast<std::size_t>(track.row)].deadline_us = arg.int_value();
     }
     if (one.reaction_us < 0 || !is_time(one.reaction_us)) return;
     out_.reactions[static_cast<std::size_t>(track.row)].releases.push_back(std::move(one));
@@ -313,6 +335,7 @@ class TraceFile {
       if (arg.name() == "preempted_by") s.preempted_by = arg.string_value();
       if (!is_time(arg.int_value())) continue;
       if (arg.name() == "since_release_us") s.since_release_us = arg.int_value();
+      if (arg.name() == "hold_us") s.hold_us = arg.int_value();
       if (arg.name() == "key_us") s.key_us = arg.int_value();
       if (arg.name() == "lateness_us") s.lateness_us = arg.int_value();
     }

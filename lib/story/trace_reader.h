@@ -33,7 +33,7 @@ struct TraceSlice {
   std::vector<int> releases;      ///< all of them: indices into `releases`
   std::vector<TraceSample> samples;
   // Of a run by keys: in the first slice of a job, and in its last.
-  std::optional<std::int64_t> since_release_us, key_us, lateness_us;
+  std::optional<std::int64_t> since_release_us, hold_us, key_us, lateness_us;
 };
 
 struct TraceRelease {
@@ -43,9 +43,19 @@ struct TraceRelease {
   std::string source;            ///< with several rates
 };
 
+/// What a whole run counted of a chain, and what is stated and claimed of it; -1: not told, or nothing is.
+struct ChainCounts {
+  std::string name;
+  std::int64_t results = -1, p50_us = -1, p99_us = -1, max_us = -1;
+  std::int64_t worst_case_us = -1, lower_bound_us = -1;
+  std::int64_t deadline_us = -1, misses = -1;
+  bool exceeded = false;  ///< a result took longer than its worst case
+};
+
 /// A chain of an app of version 2, with its reactions.
 struct TraceReactions {
-  std::string name, note;  ///< note: its source, and what is claimed of it
+  std::string name, note;         ///< note: its source, and what is claimed of it
+  std::int64_t deadline_us = -1;  ///< -1: none
   struct One {
     std::int64_t number = 0, released_ns = 0, reaction_us = 0;
     std::string xnode;             ///< whose job was the first to know it
@@ -80,6 +90,7 @@ struct ReadTrace {
   std::vector<TraceRelease> releases;
   std::vector<TraceChain> chains;         ///< empty: one rate, `releases` are what has a latency
   std::vector<TraceReactions> reactions;  ///< of version 2
+  std::vector<ChainCounts> counts;        ///< of the whole run; empty: it went on
   std::vector<TraceScenario> scenarios;
   std::vector<TraceChange> changes;  ///< by time
   std::string verdict;               ///< what became of the claims

@@ -106,6 +106,50 @@ class Gate(unittest.TestCase):
         self.assertEqual(made.returncode, 0, made.stderr)
         return app, policy
 
+    def test_deadlines_of_chains(self):
+        """Of an app of version 2 the chains have them, and the app has none."""
+        app, policy, script = (f"{self.folder}/{name}.json" for name in ("app", "p", "script"))
+        spec = json.loads((SOURCE / "examples/driving/steady.json").read_text())
+
+        def solved():
+            pathlib.Path(app).write_text(json.dumps(spec))
+            made = xauto("solve", "--app", app, "--platform", "small", "--time-limit-s", "2", "--out", policy)
+            self.assertEqual(made.returncode, 0, made.stderr)
+
+        for of_clock, status in (10, 1), (100, 0):  # percent
+            if status == 0:
+                for chain in spec["chains"]:
+                    chain["deadline_us"] = 600_000_000
+            solved()
+            steps = [{"at_us": 0, "speed_pct": {"gpu": of_clock, "cpu": of_clock, "dla": of_clock}}]
+            pathlib.Path(script).write_text(json.dumps({"schema": "xauto.emulation", "version": 1, "steps": steps}))
+            done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--seconds", "1",
+                         "--emulate-script", script, "--fail-on", "miss", "--json", "--", BIN / "driving-steady")
+            run = json.loads(done.stdout)["runs"][0]
+            missed = {c["name"]: c["deadline_misses"] for c in run["chains"] if c["deadline_misses"] > 0}
+            self.assertEqual((done.returncode, run["fail_on"]), (status, {"miss": sum(missed.values())}), done.stderr)
+            self.assertEqual(bool(missed), status == 1)
+            for name, count in missed.items():
+                self.assertIn(f"{count} of chain '{name}'", done.stderr)
+        for chain in spec["chains"]:
+            del chain["deadline_us"]
+        solved()
+        done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--seconds", "1",
+                     "--fail-on", "miss", "--", BIN / "driving-steady")
+        self.assertEqual(done.returncode, 2, done.stderr)
+        self.assertIn("nothing has a deadline", done.stderr)
+
+    def test_an_overrun_that_the_trace_has_forgotten(self):
+        """What is judged was counted over the whole run: the trace holds its end, and all was right there."""
+        files = testapp_files(self.folder)
+        done = xauto("run", *files, "--activations", 600, "--lockstep", "--trace-keep", "1ms", "--json", "--", TESTAPP,
+                     os.path.join(self.folder, "result"), "early", "B", 3, 50)
+        run = json.loads(done.stdout)["runs"][0]
+        self.assertGreater(run["trace_events_overwritten"], 0, done.stderr)
+        counted = {x["name"]: x["over_wcet"] for x in run["limited_xnodes"]}
+        self.assertGreaterEqual(counted["b1"], 3)
+        self.assertRegex(" ".join(run["worst_case_broken"]), rf"\b{sum(counted.values())} of \d+ jobs outran their WCET")
+
     def test_a_process_that_is_gone_for_good(self):
         """With several rates lost activations make no status 1; who loses all from now on does."""
         app, policy = self.steady()
@@ -131,6 +175,14 @@ class Gate(unittest.TestCase):
         with open(policy) as f:
             xpus = {x["xpu"] for x in json.load(f)["xnodes"]}
         hardware["xpus"] = [{"id": x, "type": x.rstrip("0123456789"), "preemptive": False} for x in sorted(xpus)]
+        hardware["name"] = "another"
+        with open(platform, "w") as f:
+            json.dump(hardware, f)
+        done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
+                     "--", BIN / "driving-steady")
+        self.assertEqual((done.returncode, done.stdout), (2, ""))
+        self.assertIn("was made for platform 'small', and this run is on 'another'", done.stderr)
+        hardware["name"] = "small"  # it says it is the same, and is not
         with open(platform, "w") as f:
             json.dump(hardware, f)
         done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",

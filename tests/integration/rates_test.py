@@ -110,7 +110,7 @@ class Rates(Case):
                 self.assertIsNone(panel["predicted"])
                 self.assertTrue(panel["measured"])
                 self.assertTrue(all(0 <= b[3] <= b[4] <= panel["max"] for b in panel["measured"]))
-        self.assertIn("What set the worst case of D", pathlib.Path(self.path("r.html")).read_text())
+        self.assertIn("Slowest release of D", pathlib.Path(self.path("r.html")).read_text())
 
     def test_what_was_not_measured_is_no_number(self):
         """One release of the slower sensor, four of the other; D fails, so its chains have no result."""

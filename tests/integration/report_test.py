@@ -162,7 +162,7 @@ class Report(unittest.TestCase):
         deadline = json.loads(pathlib.Path(APP).read_text())["deadline_us"]
         for name, latencies in by_output.items():
             expected = {"n": str(ACTIVATIONS), "p50": ms(quantile(latencies, 0.5)), "p99": ms(quantile(latencies, 0.99)),
-                        "max": ms(max(latencies)), "misses": str(sum(us > deadline for us in latencies))}
+                        "max": ms(max(latencies)), "missed": str(sum(us > deadline for us in latencies))}
             self.assertEqual({k: rows[name][k] for k in expected}, expected, name)
         self.assertEqual(self.html.count("<svg viewBox='0 0 240 34'"), len(by_output))  # a distribution each
 
@@ -190,7 +190,7 @@ class Report(unittest.TestCase):
         worst = max(releases.values(), key=lambda s: s.args["latency_us"])
         words = self.explain("worst")
         self.assertEqual(words["latency_us"], worst.args["latency_us"])
-        self.assertIn(f"What set the worst case: release {words['release']}, {ms(words['latency_us'])} ms",
+        self.assertIn(f"Slowest release: {words['release']}, {ms(words['latency_us'])} ms",
                       self.page.headings)
         rows = self.page.table("step")
         self.assertEqual([*rows], [s["xnode"] for s in words["steps"]] + ["published"])

@@ -114,38 +114,54 @@ Json or_null(const std::optional<std::int64_t>& us) {
   return us ? Json(*us) : Json();
 }
 
+Json to_json(const story::StoryJob& job) {
+  auto reads = Json::array();
+  for (const story::StoryRead& read : job.reads)
+    reads.push_back({{"read", read.read},
+                     {"number", read.number < 0 ? Json() : Json(read.number)},
+                     {"at_us", read.at_us},
+                     {"age_us", read.age_us < 0 ? Json() : Json(read.age_us)}});
+  return {{"xnode", job.xnode},
+          {"module", job.module},
+          {"xpu", job.xpu},
+          {"release", job.number},
+          {"released_us", or_null(job.released_us)},
+          {"late_us", job.late_us},
+          {"ready_us", job.ready_us},
+          {"held_until_us", or_null(job.held_until_us)},
+          {"began_us", job.began_us},
+          {"ran_us", job.ran_us},
+          {"ended_us", job.ended_us},
+          {"key_us", or_null(job.key_us)},
+          {"lateness_us", or_null(job.lateness_us)},
+          {"waited_for", to_json(job.waited_for)},
+          {"reads", std::move(reads)}};
+}
+
+Json to_json(const std::vector<story::StoryJob>& list) {
+  auto jobs = Json::array();
+  for (const story::StoryJob& job : list) jobs.push_back(to_json(job));
+  return jobs;
+}
+
 Json to_json(const story::ChainStory& story) {
   auto sensors = Json::array();
   for (const story::StorySensor& s : story.sensors)
     sensors.push_back(
         {{"source", s.source}, {"release", s.number}, {"released_us", s.released_us}});
-  auto jobs = Json::array();
-  for (const story::StoryJob& job : story.jobs) {
-    auto reads = Json::array();
-    for (const story::StoryRead& read : job.reads)
-      reads.push_back({{"read", read.read},
-                       {"number", read.number < 0 ? Json() : Json(read.number)},
-                       {"at_us", read.at_us},
-                       {"age_us", read.age_us < 0 ? Json() : Json(read.age_us)}});
-    jobs.push_back({{"xnode", job.xnode},
-                    {"module", job.module},
-                    {"xpu", job.xpu},
-                    {"release", job.number},
-                    {"released_us", or_null(job.released_us)},
-                    {"ready_us", job.ready_us},
-                    {"began_us", job.began_us},
-                    {"ran_us", job.ran_us},
-                    {"ended_us", job.ended_us},
-                    {"key_us", or_null(job.key_us)},
-                    {"lateness_us", or_null(job.lateness_us)},
-                    {"reads", std::move(reads)}});
-  }
-  return {{"chain", story.chain},    {"note", story.note},
-          {"release", story.number}, {"reaction_us", story.reaction_us},
-          {"urgent", story.urgent},  {"rank", story.rank},
-          {"of", story.of},          {"median_us", story.median_us},
-          {"cut", story.cut},        {"sensors", std::move(sensors)},
-          {"jobs", std::move(jobs)}};
+  return {{"chain", story.chain},
+          {"note", story.note},
+          {"release", story.number},
+          {"reaction_us", story.reaction_us},
+          {"urgent", story.urgent},
+          {"rank", story.rank},
+          {"of", story.of},
+          {"median_us", story.median_us},
+          {"cut", story.cut},
+          {"sensors", std::move(sensors)},
+          {"jobs", to_json(story.jobs)},
+          {"own", to_json(story.own)},
+          {"missed", to_json(story.missed)}};
 }
 
 /// With one rate the app's release; with several the release of each chain, or of the one asked

@@ -34,7 +34,8 @@ std::string fact_of(const Json& report, const std::string& id) {
     add("predicted_us", "simulated");
     add("lower_bound_us", "lower bound");
     add("worst_case_us", "worst case");
-    if (run.has("worst_case_us")) out += std::string(" of ") + kWorstCaseScope;
+    if (!run.has("worst_case_us")) return out;
+    out += std::string(" of ") + kWorstCaseScope;
     if (!run.at("worst_case_broken").elements().empty()) out += ", which this run is not";
     return out;
   }

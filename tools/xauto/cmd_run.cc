@@ -64,7 +64,18 @@ std::string refused_by_check(const OneRunFlags& flags, const PolicyRun& run) {
   return lies.empty() ? "" : lies.front();
 }
 
-/// A policy of another platform, or one that was edited, is worth a run; its worst cases are not.
+/// As `xauto check`: XPUs of one name may be anything on another platform.
+Status check_platform(const OneRunFlags& flags, const std::string& made_for) {
+  const std::string& platform = flags.spec.name;
+  if (made_for.empty() || made_for == platform) return {};
+  return fail(ErrorCode::kInvalid,
+              "was made for platform '" + made_for + "', and this run is on '" + platform + "'",
+              flags.policy_path,
+              "give --platform " + made_for + ", or make a policy for '" + platform +
+                  "' with `xauto solve`");
+}
+
+/// A policy that was edited is worth a run; its worst cases are not.
 void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
   if (run.scheduling != runtime::Scheduling::kXAuto) return;
   run.untrue = refused_by_check(flags, run);
@@ -91,11 +102,14 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
                       flags.platform + " --out policy.json`");
     if (is_tables_file(flags.policy_path)) {
       XAUTO_TRY(take_tables(flags, run));
+      XAUTO_TRY(check_platform(flags, run.tables->platform));
     } else if (flags.app.version == 2) {
       XAUTO_ASSIGN(run.keys, load_key_policy(flags.policy_path, flags.app, flags.spec));
+      XAUTO_TRY(check_platform(flags, run.keys->platform));
       run.policy = assignment_of(*run.keys);
     } else {
       XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
+      XAUTO_TRY(check_platform(flags, run.policy->platform));
     }
     XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
                                     flags.policy_path));

@@ -143,6 +143,7 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
     const runtime::XNodeLine& line = board.xnode(n);
     const std::string name = runtime::line_name(line.name), of = runtime::line_name(line.module);
+    if (std::string moved = line.words_of_moved(); !moved.empty()) broken(std::move(moved));
     if (const std::uint32_t jobs_left = line.unended.load(); jobs_left > 0)
       broken(runtime::words_of_unended(name, of, jobs_left, line.unended_ns.load() / 1000,
                                        line.unended_wcet_ns.load() / 1000));

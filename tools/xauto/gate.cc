@@ -15,14 +15,21 @@ bool asks(const RunFlags& flags, const std::string& word) {
 }
 
 /// Releases that missed the app's deadline; of chains what missed another one, or became too old.
-std::uint64_t misses(const RunFlags& flags, const runtime::RunReport& report) {
-  std::uint64_t count = report.deadline_misses;
+GateCount misses(const RunFlags& flags, const runtime::RunReport& report) {
+  GateCount gate{"miss", report.deadline_misses, {}};
+  std::string chains;
   for (const runtime::RouteReport& route : report.routes) {
-    // Without chains of its own an app of one rate has every release's deadline counted above.
-    const bool counted = flags.deployment.chains.empty() && report.num_releases > 0;
-    count += (counted ? 0 : route.deadline_misses) + route.age_misses;
+    // An app of version 1 and one rate without chains has every release's deadline counted above.
+    const bool counted =
+        flags.app.version == 1 && flags.deployment.chains.empty() && report.num_releases > 0;
+    const std::uint64_t late = (counted ? 0 : route.deadline_misses) + route.age_misses;
+    gate.count += late;
+    if (late > 0)
+      chains += fmt::format("{}{} of chain '{}'", chains.empty() ? ": " : ", ", late, route.name);
   }
-  return count;
+  gate.what =
+      fmt::format("{} results missed their deadline, or became too old{}", gate.count, chains);
+  return gate;
 }
 
 /// Worst cases that results took longer than, whatever else was broken.
@@ -32,7 +39,7 @@ std::uint64_t exceeded(const RunFlags& flags, const PolicyRun& run) {
     return static_cast<std::uint64_t>(
         std::count_if(claims->chains.begin(), claims->chains.end(),
                       [](const ChainClaimed& chain) { return chain.exceeded; }));
-  const auto worst = worst_case_of(flags, run);
+  const auto worst = worst_case_of(run);
   return worst && worst->exceeded ? 1 : 0;
 }
 
@@ -50,14 +57,16 @@ Status check_gate(const RunFlags& flags, const PolicyRun& run) {
   const Deployment& deployment = flags.deployment;
   const bool deadline =
       flags.app.deadline_us.has_value() ||
+      std::any_of(flags.app.chains.begin(), flags.app.chains.end(),
+                  [](const ChainSpec& c) { return c.deadline_us.has_value(); }) ||
       std::any_of(deployment.chains.begin(), deployment.chains.end(), [](const ChainDeployment& c) {
         return c.deadline_us.has_value() || c.max_age_us.has_value();
       });
   if (asks(flags, "miss") && !deadline)
     return fail(ErrorCode::kInvalid, "nothing has a deadline that could be missed",
                 "--fail-on miss",
-                "give the app `deadline_us`, or a chain of the deployment `deadline_us` or "
-                "`max_age_us`");
+                "give the app `deadline_us` (of version 2 a chain of it), or a chain of the "
+                "deployment `deadline_us` or `max_age_us`");
   const auto limited = [](const ModuleDeployment& m) {
     return m.hang_us.has_value() || m.hang_pct.has_value();
   };
@@ -80,8 +89,7 @@ std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run) {
     if (!asks(flags, word)) continue;
     GateCount gate{word, 0, {}};
     if (word == "miss") {
-      gate.count = misses(flags, run.report);
-      gate.what = fmt::format("{} results missed their deadline, or became too old", gate.count);
+      gate = misses(flags, run.report);
     } else if (word == "lost") {
       gate.count = lost_results(run.report);
       gate.what = fmt::format("{} activations were lost", gate.count);

@@ -16,7 +16,7 @@
 #include "launch/supervisor.h"
 #include "processes/parameters.h"
 
-#include "xauto/worst_case.h"
+#include "xauto/verdict.h"
 
 namespace xauto::cli {
 namespace {
@@ -213,7 +213,8 @@ std::string claims_text(const Counts& counts) {
                          in_ms(chain.longest_urgent_us), claim(chain.urgent_worst_case_us));
   }
   return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
-                           verdict(counts.claims.exceeded, counts.claims.broken));
+                           verdict(counts.claims.exceeded, counts.claims.broken,
+                                   {"what took time away from it is told when it ends"}));
 }
 
 bool Live::goes_on() const {

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <optional>
+#include <tuple>
 
 #include <fmt/format.h>
 
@@ -74,7 +75,10 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
         claim != nullptr ? in_ms(claim->lower_bound_us, claimed(claim->lower_bound_us)) : "-",
         r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
         r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count,
-        claims && claims->chains[i].exceeded ? "  exceeded" + of_its_table(r) : "");
+        !claims || claim == nullptr                      ? ""
+        : claims->chains[i].exceeded                     ? "  exceeded" + of_its_table(r)
+        : !run.tables && l.max_us > claim->worst_case_us ? "  within the emulator's part"
+                                                         : "");
     if (r.urgent_us.count() == 0) continue;
     const Latency u = summarise(r.urgent_us);
     out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "  urgent",
@@ -84,7 +88,7 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
                            : "-",
                        "", "", "", u.count);
   }
-  if (claims) out += fmt::format("\n  {}: {}\n", run.name, to_string(*claims));
+  if (claims) out += fmt::format("\n  {}: {}\n", run.name, to_string(*claims, Layout::kList));
   return out;
 }
 
@@ -117,8 +121,8 @@ std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>&
   }
   for (const PolicyRun& run : runs)
     if (const auto claims = key_claims_of(flags, run))
-      out +=
-          fmt::format("\n  {}{}: {}\n", stands(*claims) ? "" : "* ", run.name, to_string(*claims));
+      out += fmt::format("\n  {}{}: {}\n", stands(*claims) ? "" : "* ", run.name,
+                         to_string(*claims, Layout::kList));
   out +=
       "\n  A chain's time is from a release to the end of the first job that knows it or a newer "
       "one.\n  One run each. Where \"-\" stands, nothing is claimed; * is told above.\n";
@@ -329,7 +333,8 @@ std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims
         fmt::format("; a release waited at most {} ms for what was in flight", in_ms(held_us, 1));
   out += "\n";
   return out + nearest_text(report) + changes_text(report) +
-         fmt::format("  {}: {}\n", run.name, to_string(claims));
+         fmt::format("  {}: {}\n", run.name,
+                     to_string(claims, taken_from(report, kEmulatorUs), Layout::kList));
 }
 
 }  // namespace
@@ -383,7 +388,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         j["worst_case_exceeded"] = claims->exceeded;
         j["worst_case_broken"] = claims->broken;
       }
-      if (const auto worst = worst_case_of(flags, run)) {
+      if (const auto worst = worst_case_of(run)) {
         j["worst_case_us"] = worst->us;
         j["worst_case_of"] = kWorstCaseScope;
         j["worst_case_exceeded"] = worst->exceeded;
@@ -491,6 +496,11 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                        {"assumed", of.assumed},    {"shared", of.shared},
                        {"gated", of.gated},        {"held_up", of.held_up},
                        {"misplaced", of.misplaced}};
+    Json taken = Json::array();
+    for (const runtime::TakenReport& of : run.report.taken)
+      taken.push_back({{"what", of.what}, {"us", of.us}});
+    j["time_taken"] = std::move(taken);
+    if (!run.report.not_watched.empty()) j["not_watched"] = run.report.not_watched;
     Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);
@@ -549,8 +559,8 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
           "  {}: {}: {} suspensions, longest call {} us, longest that resumed {} us; preempt_us "
           "{}\n",
           run.name, of.xpu, of.suspensions, of.suspend_us, of.resume_us, of.preempt_us);
-    if (const auto worst = worst_case_of(flags, run))
-      out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
+    if (const auto worst = worst_case_of(run))
+      out += fmt::format("  {}: {}\n", run.name, to_string(*worst, Layout::kList));
     if (const auto of_tables = table_claims_of(flags, run)) out += tables_text(run, *of_tables);
     if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
@@ -575,6 +585,32 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 }
 
 namespace {
+
+/// Of a run that is over; before, no chain has been counted.
+std::vector<story::ChainCounts> counts_of(const RunFlags& flags, const PolicyRun& run) {
+  const auto claims = key_claims_of(flags, run);
+  const auto claimed = [](std::int64_t us) { return us > 0 ? us : -1; };
+  std::vector<story::ChainCounts> list;
+  for (std::size_t i = 0; i < run.report.routes.size(); ++i) {
+    const runtime::RouteReport& r = run.report.routes[i];
+    const Latency l = summarise(r.latency_us);
+    story::ChainCounts counts{r.name, static_cast<std::int64_t>(l.count)};
+    if (l.count > 0)
+      std::tie(counts.p50_us, counts.p99_us, counts.max_us) =
+          std::tie(l.p50_us, l.p99_us, l.max_us);
+    if (r.deadline_us) {
+      counts.deadline_us = *r.deadline_us;
+      counts.misses = static_cast<std::int64_t>(r.deadline_misses);
+    }
+    if (claims && i < claims->chains.size()) {
+      counts.worst_case_us = claimed(claims->chains[i].claim.worst_case_us);
+      counts.lower_bound_us = claimed(claims->chains[i].claim.lower_bound_us);
+      counts.exceeded = claims->chains[i].exceeded;
+    }
+    list.push_back(std::move(counts));
+  }
+  return list;
+}
 
 Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
                              std::vector<story::ModuleInfo> modules, std::string verdict) {
@@ -609,6 +645,7 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
           {s.release, s.from, s.to, s.chain, s.spanned_us, s.worst_case_us.value_or(-1)});
   }
   scene.verdict = std::move(verdict);
+  scene.counts = counts_of(flags, run);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
 
@@ -618,10 +655,13 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.story) return tl::unexpected<Error>(run.story.error());
   const auto claims = key_claims_of(flags, run);
   const auto of_tables = table_claims_of(flags, run);
+  const auto worst = worst_case_of(run);
   return perfetto(flags, run, *run.story, modules_of(run.report),
-                  claims      ? to_string(*claims)
-                  : of_tables ? to_string(*of_tables)
-                              : "nothing is claimed of this run");
+                  claims ? to_string(*claims, Layout::kList)
+                  : of_tables
+                      ? to_string(*of_tables, taken_from(run.report, kEmulatorUs), Layout::kList)
+                  : worst ? to_string(*worst, Layout::kList)
+                          : "nothing is claimed of this run");
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
@@ -634,11 +674,15 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
 
 std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
   const trace::Event& e = incident.event;
+  const std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
   if (incident.hang)
     return fmt::format("{} ran past its hang limit of {} ms in activation {}",
                        e.xnode < flags.app.xnodes.size() ? flags.app.xnodes[e.xnode].name : "a job",
                        e.arg, e.seq);
-  return fmt::format("release {} missed its deadline: {:.2f} ms", e.seq,
+  return fmt::format("release {}{} missed its deadline: {:.2f} ms", e.seq,
+                     e.module < modules.size() && !modules[e.module].name.empty()
+                         ? ", a result of XModule '" + modules[e.module].name + "',"
+                         : "",
                      static_cast<double>(e.arg) / 1000);
 }
 
@@ -653,10 +697,12 @@ story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>&
                                       : "the activation of median latency");
   for (const PolicyRun& run : runs) {
     std::vector<story::Panel> panels;
-    if (run.report.several_rates)
+    if (run.report.several_rates || flags.app.version == 2)
       if (const auto bytes = perfetto_of(flags, run))
-        if (const auto trace = story::read_trace(*bytes, run.name))
+        if (const auto trace = story::read_trace(*bytes, run.name)) {
+          timeline.sections += story::counts_section(run.name, *trace);
           panels = story::chain_panels(page_id(run.id), run.name, *trace);
+        }
     if (panels.empty()) {
       panels.push_back(panel_of(flags, run));
       panels.back().id = page_id(run.id);

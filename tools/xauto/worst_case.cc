@@ -16,47 +16,13 @@
 namespace xauto::cli {
 namespace {
 
-/// Jobs that ran for longer than their WCET, in words; empty: none. The trace tells of those on XPUs that
-/// we schedule, and sees no allowance of emulated ones. Of real CPUs, where the kernel preempts unseen,
-/// the workers have counted; and of all, where nothing is traced.
-std::string overruns(const RunFlags& flags, const PolicyRun& run) {
-  const bool traced = run.story.has_value();
-  std::vector<bool> seen;
-  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
-    seen.push_back(traced && !flags.kernel_schedules(x));
-  std::uint64_t count = 0, jobs = 0;
-  std::int64_t worst_us = 0;
-  std::string worst;
-  const auto add = [&](std::uint64_t more, const std::string& name, std::int64_t by_us) {
-    count += more;
-    if (more == 0 || (!worst.empty() && by_us <= worst_us)) return;
-    worst_us = by_us;
-    worst = name;
-  };
-  if (traced) {
-    const story::Overruns over = overruns_of(flags.app, flags.spec, *run.story, seen);
-    if (over.count > 0)
-      add(over.count, flags.app.xnodes[static_cast<std::size_t>(over.worst)].name, over.worst_us);
-  }
-  for (const runtime::XNodeReport& x : run.report.xnodes) {
-    jobs += x.jobs;
-    const int xnode = flags.app.find(x.name);
-    if (xnode < 0) continue;
-    const int on = run.policy->placements[static_cast<std::size_t>(xnode)].xpu;
-    if (!seen[static_cast<std::size_t>(on)]) add(x.over_wcet, x.name, x.over_us);
-  }
-  if (traced) jobs = std::max<std::uint64_t>(jobs, run.story->jobs.size());
-  if (count == 0) return {};
-  return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, jobs, worst, ms(worst_us));
-}
-
 std::string refused(const PolicyRun& run) {
   return "`xauto check` refuses the policy: " + run.untrue;
 }
 
 }  // namespace
 
-std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& run) {
+std::optional<WorstCase> worst_case_of(const PolicyRun& run) {
   if (run.scheduling != runtime::Scheduling::kXAuto || !run.policy || !run.policy->worst_case_us)
     return std::nullopt;
   WorstCase worst;
@@ -68,24 +34,14 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   if (run.report.overlapping_releases > 0)
     worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
                                        run.report.overlapping_releases, run.report.num_releases));
-  if (std::string over = overruns(flags, run); !over.empty())
+  if (std::string over = runtime::words_of_overruns(run.report); !over.empty())
     worst.broken.push_back(std::move(over));
   for (std::string& line : runtime::words_of_unended(run.report))
     worst.broken.push_back(std::move(line));
   for (std::string& line : runtime::words_of_deaths(run.report))
     worst.broken.push_back(std::move(line));
+  worst.taken = taken_from(run.report, run.latency.max_us - worst.us);
   return worst;
-}
-
-std::string verdict(bool exceeded, const std::vector<std::string>& broken) {
-  if (broken.empty())
-    return exceeded ? "exceeded, though nothing that is watched was broken; if `xauto check` "
-                      "agrees to the "
-                      "policy, please report this run"
-                    : "kept, as far as it is watched";
-  std::string text = exceeded ? "exceeded, and not claimed here: " : "not claimed here: ";
-  for (std::size_t i = 0; i < broken.size(); ++i) text += (i == 0 ? "" : "; ") + broken[i];
-  return text;
 }
 
 std::vector<ChainClaim> claimed_chains(const PolicyRun& run) {
@@ -116,6 +72,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   for (std::string& line : runtime::words_of_deaths(run.report))
     claims.broken.push_back(std::move(line));
   std::size_t unmeasured = 0;
+  std::int64_t exceeded_by_us = 0;
   const std::size_t count = std::min(claimed.size(), run.report.routes.size());
   for (std::size_t i = 0; i < count; ++i) {
     const runtime::Distribution& us = run.report.routes[i].latency_us;
@@ -132,6 +89,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
       chain.exceeded = chain.exceeded || urgent.max() > urgent_us + (allowed_us - worst_us);
     }
     claims.exceeded = claims.exceeded || chain.exceeded;
+    if (chain.exceeded) exceeded_by_us = std::max(exceeded_by_us, chain.max_us - worst_us);
     // In lockstep there are results without a time; that is told by what is not kept.
     unmeasured += chain.count == 0 && run.report.routes[i].not_measured == 0 ? 1 : 0;
     claims.chains.push_back(std::move(chain));
@@ -141,6 +99,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
         fmt::format("{} of {} chains are not measured", claimed.size() - count, claimed.size()));
   if (unmeasured > 0)
     claims.broken.push_back(fmt::format("{} of {} chains had no result", unmeasured, count));
+  claims.taken = taken_from(run.report, exceeded_by_us);
   return claims;
 }
 
@@ -149,24 +108,27 @@ std::optional<runtime::TableClaims> table_claims_of(const RunFlags& flags, const
   return runtime::table_claims_of(run.report, flags.emulates(), !run.tables->keys.empty());
 }
 
-std::string to_string(const runtime::TableClaims& claims) {
+std::string to_string(const runtime::TableClaims& claims, const std::vector<std::string>& taken,
+                      Layout layout) {
   std::string text = fmt::format("worst cases of {}: {}", claims.scope,
-                                 verdict(!claims.exceeded.empty(), claims.broken));
+                                 verdict(!claims.exceeded.empty(), claims.broken, taken, layout));
   constexpr std::size_t kShown = 3;
+  const char* between = layout == Layout::kList ? "\n    " : "; ";
   for (std::size_t i = 0; i < std::min(kShown, claims.exceeded.size()); ++i)
-    text += "; " + claims.exceeded[i];
+    text += between + claims.exceeded[i];
   if (claims.exceeded.size() > kShown)
-    text += fmt::format("; {} more", claims.exceeded.size() - kShown);
+    text += fmt::format("{}{} more", between, claims.exceeded.size() - kShown);
   return text;
 }
 
-std::string to_string(const KeyClaims& claims) {
-  return fmt::format("worst cases of {}: {}", kKeyScope, verdict(claims.exceeded, claims.broken));
+std::string to_string(const KeyClaims& claims, Layout layout) {
+  return fmt::format("worst cases of {}: {}", kKeyScope,
+                     verdict(claims.exceeded, claims.broken, claims.taken, layout));
 }
 
-std::string to_string(const WorstCase& worst) {
+std::string to_string(const WorstCase& worst, Layout layout) {
   return fmt::format("worst case {}, of {}: {}", ms(worst.us), kWorstCaseScope,
-                     verdict(worst.exceeded, worst.broken));
+                     verdict(worst.exceeded, worst.broken, worst.taken, layout));
 }
 
 }  // namespace xauto::cli

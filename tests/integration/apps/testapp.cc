@@ -6,9 +6,11 @@
 //        ├─► B (b1 npu; a string)  ──────────┴─► C (c1 cpu) ─► result, written to FILE at the end
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
-//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times] [second US]
+//   testapp FILE [crash|hang|throw|slow|early|batch|thread|child|exit MODULE K [MS]] [period US] [tally] [times] [second US]
 //           [emulated US] [filelimit BYTES] [room N]
 //
+// `slow`: every job takes MS longer, `early`: those before K. In job K `batch` changes its thread's scheduling
+// policy, `thread` and `child` leave something behind that computes for MS.
 // With `filelimit` no file of it grows beyond that once messages come: a disk that gets full.
 // With `emulated` every XNode has a context of the emulator's and first takes so long on it.
 // With `room` each module may have so many activations at once.
@@ -35,7 +37,10 @@
 #include <thread>
 #include <vector>
 
+#include <sched.h>
 #include <sys/resource.h>
+#include <time.h>
+#include <unistd.h>
 
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
@@ -76,8 +81,19 @@ std::uint64_t sum(const Block& block) {
 
 void misbehave(const std::string& module, std::uint64_t k) {
   if (g_fault.module != module) return;
-  if (g_fault.kind == "slow") std::this_thread::sleep_for(std::chrono::milliseconds(g_fault.ms));
+  if (g_fault.kind == "slow" || (g_fault.kind == "early" && k < g_fault.at))
+    std::this_thread::sleep_for(std::chrono::milliseconds(g_fault.ms));
   if (k != g_fault.at) return;
+  const auto compute = [ms = g_fault.ms] {
+    for (timespec used{}; used.tv_sec * 1000 + used.tv_nsec / 1'000'000 < ms;)
+      clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
+  };
+  if (const sched_param none{}; g_fault.kind == "batch") sched_setscheduler(0, SCHED_BATCH, &none);
+  if (g_fault.kind == "thread") std::thread(compute).detach();
+  if (g_fault.kind == "child" && fork() == 0) {
+    compute();
+    _exit(0);
+  }
   if (g_fault.kind == "crash") std::abort();
   if (g_fault.kind == "throw") throw std::runtime_error("told to");
   if (g_fault.kind == "hang") std::this_thread::sleep_for(std::chrono::milliseconds(g_fault.ms));

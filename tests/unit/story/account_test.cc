@@ -227,7 +227,8 @@ TEST(Account, WaitingIsSaidWithTheShareOfEach) {
   step.waited_for = {{"a", 95}};
   EXPECT_EQ(reasons_of(step, 50), "waited 0.100 ms for a");
   step.waited_for = {{"a", 30}};
-  EXPECT_EQ(reasons_of(step, 50), "waited 0.100 ms for a (0.030)");
+  EXPECT_EQ(reasons_of(step, 50),
+            "waited 0.100 ms for a (0.030); for 0.070 ms of it nobody had the XPU");
   EXPECT_EQ(reasons_of(step, 101), "");
   step = {};
   step.switched_us = 60;

@@ -305,5 +305,63 @@ TEST(ChainStory, WhatIsDamagedIsRefused) {
   EXPECT_EQ(worst_of(see), nullptr);
 }
 
+/// A camera's release comes 48 ms late. The planner's timer fired before, so it found the one before; what it
+/// reads next is made of the release after.
+TEST(ChainStory, TellsTheReleaseThatCameLateAndWhoReadTooEarly) {
+  constexpr std::int64_t kMs = 1'000'000;
+  ReadTrace trace;
+  trace.rows = {"cpu0", "cpu1"};
+  trace.releases = {{5, 0, 0, -1, -1, "camera"}, {6, 50 * kMs, 0, -1, -1, "camera"}};
+  const auto job = [&](const std::string& name, int row, std::int64_t n, std::int64_t begin_ms,
+                       std::int64_t end_ms) -> TraceSlice& {
+    TraceSlice slice;
+    slice.name = slice.module = name;
+    slice.category = "run";
+    slice.row = row;
+    slice.begin_ns = begin_ms * kMs;
+    slice.end_ns = end_ms * kMs;
+    slice.release = n;
+    slice.activation = static_cast<std::int64_t>(trace.run.size());
+    trace.run.push_back(slice);
+    return trace.run.back();
+  };
+  TraceSample nothing_new{"det", 4, 40 * kMs, -1, -1, -1};
+  job("plan", 1, 1, 40, 42).samples = {nothing_new};
+  TraceSlice& late = job("det", 0, 5, 48, 49);
+  late.releases = {0};
+  late.released_ns = 1;  // 0 is "not told"
+  TraceSlice& next = job("det", 0, 6, 51, 52);
+  next.releases = {1};
+  TraceSample newest{"det", 6, 90 * kMs, 40'000, 2, -1};
+  job("plan", 1, 2, 90, 95).samples = {newest};
+  TraceReactions chain{"see", "", -1, {{5, 0, 95'000, "plan", 3, false}}};
+  const auto story = story_of(trace, chain, chain.releases.front());
+  ASSERT_TRUE(story.has_value()) << story.error().to_string();
+  ASSERT_EQ(story->jobs.size(), 2U);
+  ASSERT_EQ(story->own.size(), 1U);
+  EXPECT_EQ(story->own[0].number, 5);
+  EXPECT_EQ(reasons_of(story->own[0]), "its source came 48.000 ms after the release");
+  ASSERT_EQ(story->missed.size(), 1U);
+  EXPECT_EQ(story->missed[0].number, 1);
+  const std::string text = story_text(*story);
+  EXPECT_NE(text.find("its source came 48.000 ms after"), std::string::npos) << text;
+  EXPECT_NE(text.find("without release 5:"), std::string::npos) << text;
+}
+
+TEST(ChainStory, AHoldIsTheReasonUntilItEnds) {
+  StoryJob job;
+  job.ready_us = 1'000;
+  job.held_until_us = 3'000;
+  job.began_us = 3'500;
+  job.ended_us = 4'500;
+  job.ran_us = 1'000;
+  EXPECT_EQ(reasons_of(job), "held until 3.000 by its policy; waited 0.500 ms, nobody had the XPU");
+  job.began_us = 3'010;
+  job.ended_us = 4'010;
+  EXPECT_EQ(reasons_of(job), "held until 3.000 by its policy");
+  job.held_until_us = 900;
+  EXPECT_EQ(reasons_of(job), "waited 2.010 ms, nobody had the XPU");
+}
+
 }  // namespace
 }  // namespace xauto::story

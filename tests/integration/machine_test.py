@@ -1,0 +1,76 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""A run is told what its machine did instead of it, and what its own program did beside its XNodes."""
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+
+from common import TESTAPP, testapp_files, xauto
+
+# Above every thread of a run, on one core: 40 ms it computes, 10 ms it does not.
+HOG = """import os, time
+os.sched_setaffinity(0, {int(__import__("sys").argv[1])})
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(98))
+print("there", flush=True)
+while True:
+    end = time.thread_time() + 0.04
+    while time.thread_time() < end: pass
+    time.sleep(0.01)
+"""
+REPORT = "please report this run"
+
+
+class Machine(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = folder.name
+
+    def run_app(self, *app, seconds=2, before=()):
+        """The run of report.json, and what was printed."""
+        out = os.path.join(self.folder, "report.json")
+        run = ["run", *testapp_files(self.folder), "--seconds", str(seconds), "--out", out, "--", TESTAPP,
+               os.path.join(self.folder, "result"), *app, "period", 5000]
+        done = xauto(*run) if not before else subprocess.run(
+            [*before, *map(str, [os.environ["XAUTO_BIN"] + "/xauto", *run])], capture_output=True, text=True, timeout=100)
+        with open(out) as f:
+            return json.load(f)["runs"][0], done.stdout
+
+    def taken(self, run, words):
+        return max((t["us"] for t in run["time_taken"] if words in t["what"]), default=0)
+
+    def test_somebody_else_had_the_core(self):
+        if os.geteuid() != 0:
+            self.skipTest("only root may take a core from a run")
+        hog = subprocess.Popen([sys.executable, "-c", HOG, str(min(os.sched_getaffinity(0)))],
+                               stdout=subprocess.PIPE, text=True)
+        self.addCleanup(hog.stdout.close)
+        self.addCleanup(hog.wait)
+        self.addCleanup(hog.kill)
+        self.assertEqual(hog.stdout.readline(), "there\n")
+        run, out = self.run_app()
+        # By the kernel's count: some job waited for a tenth of such a time at least.
+        self.assertGreater(self.taken(run, "the kernel ran neither it nor another XNode there"), 4_000, run["time_taken"])
+        self.assertNotIn(REPORT, out)
+        self.assertNotIn(REPORT, out)
+
+    def test_an_exec_changes_how_its_thread_is_scheduled(self):
+        run, out = self.run_app("batch", "A", 3)
+        self.assertRegex(" ".join(run["worst_case_broken"]), "the thread that runs XNode 'a1' of XModule 'A' was given other "
+                         "CPUs or another scheduling policy")
+        self.assertIn("not claimed here:", out)
+        run, _ = self.run_app()
+        self.assertNotIn("scheduling policy than", " ".join(run["worst_case_broken"]))
+
+    def test_an_exec_leaves_something_behind(self):
+        for kind, words in ("thread", "threads of the program beside"), ("child", "child processes of the program"):
+            run, out = self.run_app(kind, "D", 3, 300, seconds=3)
+            self.assertGreaterEqual(self.taken(run, words), 250_000, run["time_taken"])  # of 300 ms; a look may be early
+            self.assertNotIn(REPORT, out)
+
+
+if __name__ == "__main__":
+    unittest.main()
