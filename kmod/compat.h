@@ -23,11 +23,22 @@
 #define XAUTO_GENL_RESV_START_OP(nr)
 #endif
 
-/* Since 6.1 a multicast group can ask for a capability of those who join. */
-#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 1, 0)
+/*
+ * A multicast group can ask for CAP_NET_ADMIN of those who join since 5.12, 5.10.204 too, and by
+ * another name since 6.7, some older ones too. Elsewhere there is no group: any user could hear
+ * whose queues are suspended when.
+ */
+#ifdef GENL_MCAST_CAP_NET_ADMIN
 #define XAUTO_MCGRP_NEEDS_NET_ADMIN .flags = GENL_MCAST_CAP_NET_ADMIN
+#define XAUTO_MCGRP_IS_GUARDED true
+#elif LINUX_VERSION_CODE >= KERNEL_VERSION(5, 12, 0) || \
+	(LINUX_VERSION_CODE >= KERNEL_VERSION(5, 10, 204) && \
+	 LINUX_VERSION_CODE < KERNEL_VERSION(5, 11, 0))
+#define XAUTO_MCGRP_NEEDS_NET_ADMIN .flags = GENL_UNS_ADMIN_PERM
+#define XAUTO_MCGRP_IS_GUARDED true
 #else
 #define XAUTO_MCGRP_NEEDS_NET_ADMIN
+#define XAUTO_MCGRP_IS_GUARDED false
 #endif
 
 /* Since 6.3 a policy's range is const. */

@@ -228,7 +228,9 @@ static void xauto_explain(struct netlink_ext_ack *extack, struct nlattr *at, u32
 	else if (action == XAUTO_ACTION_RESUME)
 		NL_SET_ERR_MSG(extack, "the driver did not resume it; the module tries again");
 	else if (action == XAUTO_ACTION_SUSPEND && err == -ETIMEDOUT)
-		NL_SET_ERR_MSG(extack, "the work did not leave the engine in time; it runs again");
+		NL_SET_ERR_MSG(
+			extack,
+			"not off the engine in time, or the watchdog bit meanwhile: it runs again");
 	else if (action == XAUTO_ACTION_SET_TIMESLICE && err == -EINVAL)
 		NL_SET_ERR_MSG(extack,
 			       "the driver refused this time slice (nvgpu: 1000..50000 us)");
@@ -480,9 +482,26 @@ static int xauto_dump_queue(struct sk_buff *msg, struct netlink_callback *cb,
 	return err;
 }
 
+/*
+ * All parts are made with the rights of who asks. Who reads makes those after the first, and may be
+ * a program of more rights that was given the socket.
+ */
+static int xauto_dump_start(struct netlink_callback *cb)
+{
+	cb->args[1] = (long)get_current_cred();
+	return 0;
+}
+
+static int xauto_dump_done(struct netlink_callback *cb)
+{
+	put_cred((const struct cred *)cb->args[1]);
+	return 0;
+}
+
 /* One part of the dump, from the queue where the last one ended; empty at the end. */
 static int xauto_cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
 {
+	const struct cred *reader = override_creds((const struct cred *)cb->args[1]);
 	unsigned long id = cb->args[0];
 	struct xauto_queue *queue;
 	int err = 0;
@@ -496,6 +515,7 @@ static int xauto_cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
 			id++;
 	}
 	cb->args[0] = id;
+	revert_creds(reader);
 	return msg->len;
 }
 
@@ -527,7 +547,9 @@ static const struct genl_ops xauto_genl_ops[] = {
 	{
 		.cmd = XAUTO_CMD_GET,
 		.doit = xauto_cmd_get,
+		.start = xauto_dump_start,
 		.dumpit = xauto_cmd_dump,
+		.done = xauto_dump_done,
 		.policy = xauto_handle_policy,
 		.maxattr = XAUTO_A_MAX,
 	},
@@ -545,7 +567,7 @@ static struct genl_family xauto_family __ro_after_init = {
 	.ops = xauto_genl_ops,
 	.n_ops = ARRAY_SIZE(xauto_genl_ops),
 	.mcgrps = xauto_genl_groups,
-	.n_mcgrps = ARRAY_SIZE(xauto_genl_groups),
+	.n_mcgrps = XAUTO_MCGRP_IS_GUARDED ? ARRAY_SIZE(xauto_genl_groups) : 0,
 	.parallel_ops = true, /* one coordinator does not wait for another's driver call */
 	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)
 };
@@ -554,7 +576,7 @@ int xauto_netlink_init(void)
 {
 	int err = genl_register_family(&xauto_family);
 
-	if (!err)
+	if (!err && xauto_family.n_mcgrps)
 		xauto_event_publish_to(&xauto_family);
 	return err;
 }

@@ -10,6 +10,7 @@
 #include <linux/sched/signal.h>
 #include <linux/slab.h>
 #include <linux/spinlock.h>
+#include <linux/user_namespace.h>
 #include <net/net_namespace.h>
 #include <net/sock.h>
 
@@ -134,7 +135,7 @@ static void xauto_claim_end(struct work_struct *work)
 	struct xauto_claim *claim = container_of(work, struct xauto_claim, end);
 	bool final = READ_ONCE(claim->final);
 
-	xauto_queue_want(claim->queue, &claim->stake, final ? XAUTO_WANT_NOTHING : XAUTO_WANT_RUN,
+	xauto_queue_want(claim->queue, &claim->stake, final ? XAUTO_WANT_NOTHING : XAUTO_WANT_OLD,
 			 claim->owner->portid, NULL);
 	if (final && !claim->done) {
 		claim->done = true;
@@ -191,8 +192,10 @@ static void xauto_owner_watchdog(struct work_struct *work)
 	}
 	owner->expired = true;
 	xauto_event_of_owner(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
-	xa_for_each(&owner->claims, handle, claim)
+	xa_for_each(&owner->claims, handle, claim) {
+		WRITE_ONCE(claim->stake.bitten, true);
 		xauto_claim_queue_end(claim, false);
+	}
 out:
 	mutex_unlock(&owner->lock);
 }
@@ -203,6 +206,20 @@ static void xauto_owner_start_watchdog(struct xauto_owner *owner)
 	if (owner->watchdog_ms && atomic_read(&owner->n_votes) && !owner->dead)
 		mod_delayed_work(xauto_reaper, &owner->watchdog,
 				 msecs_to_jiffies(owner->watchdog_ms));
+}
+
+/*
+ * Whose share of the table the caller takes: in a user namespace its creator's, who may have
+ * thousands of user ids there.
+ */
+static kuid_t xauto_owner_payer(void)
+{
+	struct user_namespace *ns;
+	kuid_t uid = current_euid();
+
+	for (ns = current_user_ns(); ns != &init_user_ns; ns = ns->parent)
+		uid = ns->owner;
+	return uid;
 }
 
 static struct xauto_owner *xauto_owner_new(struct sk_buff *skb)
@@ -219,7 +236,7 @@ static struct xauto_owner *xauto_owner_new(struct sk_buff *skb)
 	owner->sk = NETLINK_CB(skb).sk;
 	sock_hold(owner->sk);
 	owner->portid = NETLINK_CB(skb).portid;
-	owner->uid = current_euid();
+	owner->uid = xauto_owner_payer();
 	owner->pid = get_pid(task_tgid(current));
 	owner->watchdog_ms = XAUTO_WATCHDOG_DEFAULT_MS;
 	owner->fed = jiffies;
@@ -233,6 +250,7 @@ static struct xauto_owner *xauto_owner_new(struct sk_buff *skb)
 static int xauto_owner_admit(struct sk_buff *skb, struct netlink_ext_ack *extack)
 {
 	bool may_reserve = netlink_ns_capable(skb, &init_user_ns, CAP_SYS_NICE);
+	kuid_t payer = xauto_owner_payer();
 	struct xauto_owner *owner;
 	u32 all = 0, mine = 0;
 
@@ -244,7 +262,7 @@ static int xauto_owner_admit(struct sk_buff *skb, struct netlink_ext_ack *extack
 	spin_lock(&xauto_all_owners_lock);
 	list_for_each_entry(owner, &xauto_all_owners, node) {
 		all++;
-		mine += uid_eq(owner->uid, current_euid());
+		mine += uid_eq(owner->uid, payer);
 	}
 	spin_unlock(&xauto_all_owners_lock);
 	if (all >= XAUTO_MAX_OWNERS - (may_reserve ? 0 : XAUTO_RESERVED_OWNERS)) {
@@ -397,6 +415,23 @@ static struct xauto_claim *xauto_owner_claim_of(struct xauto_owner *owner, u32 h
 	return claim;
 }
 
+/* It is suspended, and stays so for the watchdog's time from here on, unless that bit meanwhile. */
+static int xauto_owner_answer_for(struct xauto_owner *owner, struct xauto_stake *stake)
+{
+	int err = 0;
+
+	mutex_lock(&owner->lock);
+	if (READ_ONCE(stake->bitten)) {
+		err = -ETIMEDOUT;
+	} else {
+		WRITE_ONCE(owner->fed, jiffies);
+		if (!delayed_work_pending(&owner->watchdog))
+			xauto_owner_start_watchdog(owner);
+	}
+	mutex_unlock(&owner->lock);
+	return err;
+}
+
 int xauto_owner_act(struct xauto_owner *owner, u32 action, u32 handle, u32 value, u64 *cost_ns)
 {
 	struct xauto_claim *claim = xauto_owner_claim_of(owner, handle);
@@ -408,12 +443,8 @@ int xauto_owner_act(struct xauto_owner *owner, u32 action, u32 handle, u32 value
 	if (action == XAUTO_ACTION_SUSPEND) {
 		err = xauto_queue_want(claim->queue, &claim->stake, XAUTO_WANT_SUSPENDED,
 				       owner->portid, cost_ns);
-		if (!err) {
-			mutex_lock(&owner->lock);
-			if (!delayed_work_pending(&owner->watchdog))
-				xauto_owner_start_watchdog(owner);
-			mutex_unlock(&owner->lock);
-		}
+		if (!err)
+			err = xauto_owner_answer_for(owner, &claim->stake);
 	} else if (action == XAUTO_ACTION_RESUME) {
 		err = xauto_queue_want(claim->queue, &claim->stake, XAUTO_WANT_RUN, owner->portid,
 				       cost_ns);

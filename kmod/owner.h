@@ -7,7 +7,7 @@
  *   - its socket closes (netlink's release notifier),
  *   - the process that first registered on it dies while another holds the socket (the sweeper
  *     sees it),
- *   - its watchdog was not fed (it stays, without votes),
+ *   - its watchdog was not fed (it stays, without the votes that it had then),
  *   - the module unloads.
  * A port id does not name a socket for ever: it is free before the notifier is called, so that
  * another process may have a socket on it by then. Hence an owner holds its socket, a message finds
@@ -48,7 +48,7 @@ struct xauto_queue;
  * @node: in the list of all
  * @sk: the socket, held so that no other has its address
  * @portid: its name in events, and the table's key
- * @uid: whose share of the table it takes
+ * @uid: whose share of the table it takes; of user namespaces the outermost one's creator
  * @pid: the process that registered first
  * @lock: covers everything below except @n_votes and @fed
  * @claims: handle to struct xauto_claim

@@ -24,25 +24,38 @@ struct xauto_power_search {
 	int found;
 };
 
+static int xauto_power_take(struct device *dev, void *data)
+{
+	struct xauto_power_search *search = data;
+
+	if (search->found < XAUTO_MAX_POWER)
+		search->devices[search->found++] = get_device(dev);
+	return 0;
+}
+
+/* The bus holds the driver meanwhile. A device's own is safe to read under its lock only. */
+static int xauto_power_look_at_driver(struct device_driver *driver, void *data)
+{
+	struct xauto_power_search *search = data;
+
+	if (driver->owner != search->file->f_op->owner)
+		return 0;
+	return driver_for_each_device(driver, NULL, search, xauto_power_take);
+}
+
 static int xauto_power_is_node(struct device *child, XAUTO_CHILD_CONST void *node)
 {
 	return child->devt == *(const dev_t *)node;
 }
 
-static int xauto_power_look_at(struct device *dev, void *data)
+static int xauto_power_look_at_device(struct device *dev, void *data)
 {
 	struct xauto_power_search *search = data;
 	dev_t node = file_inode(search->file)->i_rdev;
-	struct module *module = search->file->f_op->owner;
-	struct device_driver *driver = READ_ONCE(dev->driver);
-	struct device *child = NULL;
+	struct device *child = device_find_child(dev, &node, xauto_power_is_node);
 
-	if (!driver || search->found == XAUTO_MAX_POWER)
-		return 0;
-	if (node && !module)
-		child = device_find_child(dev, &node, xauto_power_is_node);
-	if (child || (module && driver->owner == module))
-		search->devices[search->found++] = get_device(dev);
+	if (child)
+		xauto_power_take(dev, search);
 	put_device(child);
 	return 0;
 }
@@ -51,7 +64,10 @@ void xauto_power_find(const struct file *file, struct device **devices)
 {
 	struct xauto_power_search search = { .file = file, .devices = devices };
 
-	bus_for_each_dev(&platform_bus_type, NULL, &search, xauto_power_look_at);
+	if (file->f_op->owner)
+		bus_for_each_drv(&platform_bus_type, NULL, &search, xauto_power_look_at_driver);
+	else if (file_inode(file)->i_rdev)
+		bus_for_each_dev(&platform_bus_type, NULL, &search, xauto_power_look_at_device);
 }
 
 void xauto_power_forget(struct device **devices)

@@ -382,6 +382,8 @@ static int xauto_queue_vote(struct xauto_queue *queue, struct xauto_stake *stake
 	} else {
 		err = xauto_queue_suspend(queue, portid, cost);
 	}
+	if (!err)
+		WRITE_ONCE(stake->bitten, false); /* before this vote, if at all */
 	if (!err && !stake->vote) {
 		stake->vote = true;
 		queue->votes++;
@@ -437,13 +439,13 @@ int xauto_queue_want(struct xauto_queue *queue, struct xauto_stake *stake, enum 
 		     u32 portid, u64 *cost_ns)
 {
 	u64 cost = 0;
-	int err;
+	int err = 0;
 
 	if (mutex_lock_killable(&queue->lock))
 		return -EINTR;
 	if (wish == XAUTO_WANT_SUSPENDED)
 		err = xauto_queue_vote(queue, stake, portid, &cost);
-	else
+	else if (wish != XAUTO_WANT_OLD || READ_ONCE(stake->bitten))
 		err = xauto_queue_unvote(queue, stake, portid, &cost);
 	if (wish == XAUTO_WANT_NOTHING)
 		xauto_queue_end_stake(queue, stake);

@@ -98,6 +98,7 @@ struct xauto_queue_stats {
  * struct xauto_stake - what one claim wants of a queue; the queue's lock covers it
  * @vote: that it is suspended
  * @ended: it wants nothing any more
+ * @bitten: its owner's watchdog bit after the last vote; set without the lock
  * @sliced: it set the time slice
  * @leveled: it set the interleave level
  * @votes: of its owner, all queues
@@ -105,6 +106,7 @@ struct xauto_queue_stats {
 struct xauto_stake {
 	bool vote;
 	bool ended;
+	bool bitten;
 	bool sliced;
 	bool leveled;
 	atomic_t *votes;
@@ -190,13 +192,14 @@ struct xauto_queue *xauto_queue_get(u32 type, struct file *file, struct pid *pid
 				    struct netlink_ext_ack *extack);
 void xauto_queue_put(struct xauto_queue *queue);
 
-enum xauto_wish { XAUTO_WANT_RUN, XAUTO_WANT_SUSPENDED, XAUTO_WANT_NOTHING };
+enum xauto_wish { XAUTO_WANT_RUN, XAUTO_WANT_OLD, XAUTO_WANT_SUSPENDED, XAUTO_WANT_NOTHING };
 
 /**
  * xauto_queue_want() - make a claim's vote what it is wanted to be
  * @queue: the queue
  * @stake: the claim's
- * @wish: %XAUTO_WANT_NOTHING: for ever, and what else the claim has set is undone
+ * @wish: %XAUTO_WANT_NOTHING: for ever, and what else the claim has set is undone;
+ *   %XAUTO_WANT_OLD: to run, unless it has voted since the watchdog bit
  * @portid: whose, for events; 0: the module's own doing
  * @cost_ns: out, may be NULL: time in the driver
  *

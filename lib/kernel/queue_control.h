@@ -70,7 +70,7 @@ class QueueControl {
   [[nodiscard]] Status unregister(std::uint32_t handle);
 
   /// When they return: none of a TSG's work runs; none of a DLA queue's tasks is started. kTimeout:
-  /// a context that did not leave the engine; kUnavailable: one that did not before, so it was not
+  /// a context that did not leave the engine, or the watchdog bit meanwhile; kUnavailable: one that did not before, so it was not
   /// tried (`gated` says whether it ever is), or one whose process is gone.
   [[nodiscard]] Status suspend(std::uint32_t handle);
   [[nodiscard]] Status resume(std::uint32_t handle);
@@ -82,7 +82,7 @@ class QueueControl {
   /// 10..60000 ms without a message and the kernel resumes what this connection suspended; it
   /// starts at XAUTO_WATCHDOG_DEFAULT_MS. 0 switches it off and needs CAP_SYS_NICE.
   [[nodiscard]] Status set_watchdog(std::uint32_t timeout_ms);
-  /// kTimeout once, after it has expired.
+  /// kTimeout once, after it has expired: what was suspended then and not since runs.
   [[nodiscard]] Status feed_watchdog();
 
   [[nodiscard]] Result<QueueInfo> query(std::uint32_t handle);

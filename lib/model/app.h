@@ -18,12 +18,16 @@
 
 namespace xauto {
 
+/// XPU type, of those in wcet_us -> execution time in us that is usual there, at most the WCET.
+using TypicalTimes = std::map<std::string, std::int64_t, std::less<>>;
+
 /// Another implementation of an XNode: less work for a result of less quality.
 struct VariantSpec {
   std::string name;
   std::int64_t quality_pct = 100;  ///< of the XNode's own, 1..100
   std::map<std::string, std::int64_t, std::less<>> wcet_us;
   std::map<std::string, std::int64_t, std::less<>> memory_kb = {};  ///< as XNodeSpec's
+  TypicalTimes typical_us = {};
   bool operator==(const VariantSpec&) const = default;
 };
 
@@ -40,6 +44,7 @@ struct XNodeSpec {
   std::vector<VariantSpec> variants = {};  ///< beside wcet_us; a set of tables may choose them
   /// XPU type, of those in wcet_us -> what `init` added to the process's resident memory when it was measured.
   std::map<std::string, std::int64_t, std::less<>> memory_kb = {};
+  TypicalTimes typical_us = {};  ///< no policy depends on it
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   [[nodiscard]] int find_variant(std::string_view variant) const;  ///< index or -1

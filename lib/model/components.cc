@@ -66,6 +66,7 @@ Status check_joins(const AppSpec& app) {
     }
     for (const std::size_t e : incoming[at(v)]) {
       const int u = app.edges[e].first;
+      if (heard[at(u)] < 0) continue;  // nobody fires it: validate() refuses it, and may come later
       if (heard[at(v)] < 0) heard[at(v)] = heard[at(u)];
       XAUTO_TRY(fit(app, v, heard[at(v)], heard[at(u)], "/edges/" + std::to_string(e),
                     "sample one of them: move the edge to \"samples\""));

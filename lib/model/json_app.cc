@@ -33,11 +33,28 @@ void read_memory(const Reader& x, Implemented& into) {
   });
 }
 
+/// Of the types that are in wcet_us, and no longer than that.
+template <class Implemented>
+void read_typical(const Reader& x, Implemented& into) {
+  if (!x.has("typical_us")) return;
+  x["typical_us"].each_member(kMaxXpus, [&](const std::string& type, const Reader& us) {
+    const std::int64_t value = us.integer(1, kMaxTimeUs);
+    if (us.failed()) return;
+    const auto wcet = into.wcet_us.find(type);
+    if (wcet == into.wcet_us.end()) return us.refuse("'" + type + "' is no key of wcet_us");
+    if (value > wcet->second)
+      return us.refuse(std::to_string(value) + " us is above the WCET there, " +
+                       std::to_string(wcet->second) + " us");
+    into.typical_us[type] = value;
+  });
+}
+
 void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeSpec spec{x["name"].text(), x["module"].text(), {}};
     spec.wcet_us = read_wcets(x["wcet_us"]);
     read_memory(x, spec);
+    read_typical(x, spec);
     spec.sources = read_heard(x, sources);
     if (x.has("real_on"))
       x["real_on"].each_element(kMaxXpus, [&](std::size_t, const Reader& type) {
@@ -52,6 +69,7 @@ void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
         if (v.has("quality_pct")) variant.quality_pct = v["quality_pct"].integer(1, 100);
         variant.wcet_us = read_wcets(v["wcet_us"]);
         read_memory(v, variant);
+        read_typical(v, variant);
         spec.variants.push_back(std::move(variant));
       });
     app.xnodes.push_back(std::move(spec));
@@ -232,11 +250,13 @@ ordered_json xnodes_to_json(const AppSpec& app) {
     ordered_json xnode = {{"name", x.name}, {"module", x.module}};
     write_heard(x.sources, app.sources, xnode);
     xnode["wcet_us"] = ordered_json(x.wcet_us);
+    if (!x.typical_us.empty()) xnode["typical_us"] = ordered_json(x.typical_us);
     if (!x.real_on.empty()) xnode["real_on"] = x.real_on;
     if (!x.memory_kb.empty()) xnode["memory_kb"] = ordered_json(x.memory_kb);
     for (const VariantSpec& v : x.variants) {
       ordered_json variant = {
           {"name", v.name}, {"quality_pct", v.quality_pct}, {"wcet_us", ordered_json(v.wcet_us)}};
+      if (!v.typical_us.empty()) variant["typical_us"] = ordered_json(v.typical_us);
       if (!v.memory_kb.empty()) variant["memory_kb"] = ordered_json(v.memory_kb);
       xnode["variants"].push_back(std::move(variant));
     }

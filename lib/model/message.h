@@ -35,6 +35,8 @@ using Origins = std::array<std::int64_t, kMaxOrigins>;
 
 /// Origin of an envelope without a message: nothing was lost, the module is off in its release's table.
 inline constexpr std::int64_t kOffNs = -1;
+/// ... nothing was lost: a module skipped it, which was told to while it is not free.
+inline constexpr std::int64_t kSkippedNs = -2;
 
 /// A message on its way: shared, never written again once published.
 struct Envelope {

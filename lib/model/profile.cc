@@ -214,6 +214,8 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
       if (!samples.emulated && &into.wcet_us == &spec.wcet_us) spec.real_on.insert(type);
       if (samples.memory_kb)
         into.memory_kb[type] = std::max(into.memory_kb[type], *samples.memory_kb);
+      std::int64_t& typical = into.typical_us[type];
+      typical = std::max({typical, samples.p50_us, std::int64_t{1}});
       std::int64_t& wcet = into.wcet_us[type];
       wcet = std::max({wcet, statistic(samples, from, profile.margin_pct), std::int64_t{1}});
       return {};

@@ -139,7 +139,8 @@ struct Profile {
 enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 /// What is the WCET of these samples: see WcetFrom. The maximum is that without outliers.
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
-/// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes. `platform` gives each
+/// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes,
+/// and the longest median. `platform` gives each
 /// instance its type. A p99 needs kP99Samples. Of version 1, which knows neither samples nor several
 /// activations in flight; where there are any, of version 2.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,

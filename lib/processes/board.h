@@ -103,18 +103,20 @@ struct BoardShape {
 
 inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
 
-/// A release is settled once: done, failed, dropped or off. In an app of one rate they are settled in
-/// order, so the sum of the four is the number of the next one.
+/// A release is settled once: done, failed, dropped, off or skipped. In an app of one rate they are settled
+/// in order, so the sum of the five is the number of the next one.
 struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M] one writer at a time
-  std::atomic<std::uint64_t> off{};        ///< [M] releases in whose table it is off
+  std::atomic<std::uint64_t> off{};  ///< [M] releases in whose table it is off
+  std::atomic<std::uint64_t>
+      skipped{};  ///< [M] releases that it, or one before it, skipped as it was told
   std::atomic<std::uint32_t> in_flight{};  ///< [M] activations that are
   std::atomic<std::uint32_t> deaths{};     ///< [H] of its process
   char name[kBoardNameBytes] = {};         ///< [H] before the run
   /// [H] 1 before the run, [S] grows when parameters change; see parameters.h.
   std::atomic<std::uint64_t> parameters{};
   [[nodiscard]] std::uint64_t settled() const {
-    return activations.load() + failed.load() + dropped.load() + off.load();
+    return activations.load() + failed.load() + dropped.load() + off.load() + skipped.load();
   }
 };
 

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "record/background.h"
 
+#include <algorithm>
 #include <exception>
 #include <utility>
 
+#include "base/clock.h"
 #include "base/futex.h"
 #include "base/log.h"
 #include "base/rt.h"
@@ -68,45 +70,65 @@ void BackgroundRecorder::put(Item item, IfFull if_full) {
   ring(filled_);
 }
 
+/// The first failure ends the recording.
+void BackgroundRecorder::take(Status done) {
+  if (done) return;
+  status_ = std::move(done);
+  failed_.store(true);
+  log::warn("recording ended early: {}", status_.error().what);
+}
+
+void BackgroundRecorder::write(Item item) {
+  if (failed_.load()) return;
+  try {
+    take(recorder_.write(
+        item.topic, item.timestamp_ns,
+        item.number ? enclose(item.timestamp_ns, *item.number, item.data) : item.data));
+  } catch (const std::exception& e) {  // no memory
+    take(fail(ErrorCode::kIo, e.what()));
+  }
+  if (unflushed_since_ns_ == 0) unflushed_since_ns_ = now_ns();
+}
+
+void BackgroundRecorder::flush_if_due() {
+  if (unflushed_since_ns_ == 0 || now_ns() - unflushed_since_ns_ < kFlushNs || failed_.load())
+    return;
+  take(recorder_.flush());
+  unflushed_since_ns_ = 0;
+}
+
 void BackgroundRecorder::run() {
   rt::set_thread_name("xauto/record");
-  (void)rt::set_other();  // not what the creating thread has: nothing of the app waits for it
+  (void)rt::set_other();    // not what the creating thread has: nothing of the app waits for it
+  take(recorder_.flush());  // the topics: who is killed at once leaves a recording without messages
   for (;;) {
     const std::uint32_t seen = filled_.load();
-    Item item;
-    bool closing = false, empty = false;
+    std::optional<Item> item;
+    bool closing = false;
     {
       const Guard lock(mutex_);
       closing = closing_;
-      empty = queue_.empty();
-      if (!empty) {
+      if (!queue_.empty()) {
         item = std::move(queue_.front());
         queue_.pop_front();
       }
     }
-    if (empty && closing) break;
-    if (empty) {
-      futex_wait_local(filled_, seen);
-      continue;
-    }
-    if (!failed_.load()) {
-      try {
-        status_ = recorder_.write(
-            item.topic, item.timestamp_ns,
-            item.number ? enclose(item.timestamp_ns, *item.number, item.data) : item.data);
-      } catch (const std::exception& e) {  // no memory
-        status_ = fail(ErrorCode::kIo, e.what());
+    if (!item && closing) break;
+    if (!item) {
+      futex_wait_local(filled_, seen,
+                       unflushed_since_ns_ == 0
+                           ? -1
+                           : std::max<std::int64_t>(unflushed_since_ns_ + kFlushNs - now_ns(), 1));
+    } else {
+      const std::size_t bytes = item->data.size();
+      write(std::move(*item));
+      {
+        const Guard lock(mutex_);
+        bytes_ -= bytes;
       }
-      if (!status_) {
-        failed_.store(true);
-        log::warn("recording ended early: {}", status_.error().what);
-      }
+      ring(emptied_);
     }
-    {
-      const Guard lock(mutex_);
-      bytes_ -= item.data.size();
-    }
-    ring(emptied_);
+    flush_if_due();
   }
 }
 

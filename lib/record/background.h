@@ -23,6 +23,8 @@ class BackgroundRecorder {
  public:
   /// So much may wait to be written: two seconds of three cameras at 30 Hz and 1.4 MB.
   static constexpr std::size_t kQueueBytes = 256u << 20;
+  /// What has waited for so long is flushed, whether more comes or not: what a power cut may lose.
+  static constexpr std::int64_t kFlushNs = 1'000'000'000;
 
   /// `recorder`: with its topics. kUnavailable: there is no thread for it.
   [[nodiscard]] static Result<std::unique_ptr<BackgroundRecorder>> start(
@@ -52,6 +54,9 @@ class BackgroundRecorder {
   };
   void put(Item item, IfFull if_full);
   void run();
+  void write(Item item);
+  void flush_if_due();
+  void take(Status done);
   static void ring(std::atomic<std::uint32_t>& word);
 
   const std::size_t queue_bytes_;
@@ -64,6 +69,7 @@ class BackgroundRecorder {
   std::atomic<bool> failed_{false};
   std::atomic<std::uint32_t> filled_{0}, emptied_{0};  ///< futexes
   Status status_;                                      ///< the thread's, while it runs
+  std::int64_t unflushed_since_ns_ = 0;                ///< likewise; 0: all is in the file
   std::thread thread_;
 };
 

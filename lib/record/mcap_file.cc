@@ -94,17 +94,25 @@ Status Channels::add(const File& file, Op op, std::span<const std::byte> content
   return {};
 }
 
+std::optional<Topic> Channels::topic(std::uint16_t id) const {
+  const auto found = channels_.find(id);
+  if (found == channels_.end()) return std::nullopt;
+  const Channel& channel = found->second;
+  Topic topic{channel.topic, "", channel.encoding};
+  if (channel.schema != 0) {
+    const Schema& schema = schemas_.find(channel.schema)->second;
+    topic.type = schema.name;
+    topic.schema_encoding = schema.encoding;
+    topic.schema = schema.data;
+  }
+  return topic;
+}
+
 Status Channels::close(const File& file) {
   closed_ = true;
   std::map<std::string, std::size_t> by_name;
   for (const auto& [id, channel] : channels_) {
-    Topic topic{channel.topic, "", channel.encoding};
-    if (channel.schema != 0) {
-      const Schema& schema = schemas_.find(channel.schema)->second;
-      topic.type = schema.name;
-      topic.schema_encoding = schema.encoding;
-      topic.schema = schema.data;
-    }
+    Topic topic = *this->topic(id);
     // Several channels may have one topic, of several publishers for example.
     const auto [at, added] = by_name.try_emplace(channel.topic, topics_.size());
     topic_of_.emplace(id, at->second);
@@ -163,11 +171,10 @@ Result<Entry> entry_of(const File& file, const Block& block, const Channels& cha
 
 }  // namespace
 
-Result<Loaded> load(const File& file, const Block& block, Channels& channels) {
+Result<std::unique_ptr<std::byte[]>> unpack(const File& file, const Block& block) {
   const auto size = static_cast<std::size_t>(block.bytes);
-  Loaded loaded;
-  loaded.data.reset(new std::byte[size]);  // not zeroed: it may be large, and is filled
-  const std::span<std::byte> data(loaded.data.get(), size);
+  std::unique_ptr<std::byte[]> bytes(new std::byte[size]);  // not zeroed: large, and is filled
+  const std::span<std::byte> data(bytes.get(), size);
   if (block.compression == Compression::kNone) {
     XAUTO_TRY(file.read(block.data_offset, data));
   } else {
@@ -180,7 +187,14 @@ Result<Loaded> load(const File& file, const Block& block, Channels& channels) {
   }
   if (block.crc != 0 && crc32(data) != block.crc)
     return file.broken(block.name() + " is damaged: its checksum is wrong");
-  Cursor in(data);
+  return bytes;
+}
+
+Result<Loaded> load(const File& file, const Block& block, Channels& channels) {
+  const auto size = static_cast<std::size_t>(block.bytes);
+  Loaded loaded;
+  XAUTO_ASSIGN(loaded.data, unpack(file, block));
+  Cursor in({loaded.data.get(), size});
   while (in.left() > 0) {
     const std::size_t offset = size - in.left();
     const auto op = static_cast<Op>(in.u8());

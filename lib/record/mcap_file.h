@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -51,6 +52,8 @@ class Channels {
   /// From here on a new channel is a fault: topics() has been told.
   [[nodiscard]] Status close(const File& file);
   [[nodiscard]] bool known(std::uint16_t channel) const { return channels_.contains(channel); }
+  /// Nullopt: there is no such channel.
+  [[nodiscard]] std::optional<Topic> topic(std::uint16_t channel) const;
   [[nodiscard]] std::size_t size() const { return channels_.size(); }
   /// Of a known one, after close().
   [[nodiscard]] std::size_t topic_of(std::uint16_t channel) const {
@@ -91,6 +94,8 @@ struct Loaded {
   std::vector<Entry> entries;  ///< as they were written
 };
 
+/// All bytes of a block, unpacked; kInvalid: not those that were written.
+[[nodiscard]] Result<std::unique_ptr<std::byte[]>> unpack(const File& file, const Block& block);
 /// Reads, unpacks and checks all of a block; adds its channels.
 [[nodiscard]] Result<Loaded> load(const File& file, const Block& block, Channels& channels);
 

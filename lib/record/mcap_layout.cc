@@ -45,7 +45,7 @@ class Walk {
     XAUTO_ASSIGN(const auto magic, file_.look(0, kMagic.size()));
     if (magic.size() < kMagic.size() ||
         std::memcmp(magic.data(), kMagic.data(), kMagic.size()) != 0)
-      return file_.broken("is not an MCAP file");
+      return file_.broken(file_.size() == 0 ? "is empty" : "is not an MCAP file");
     at_ = kMagic.size();
     return {};
   }

@@ -40,6 +40,7 @@ class McapWriter final : public Writer {
   [[nodiscard]] Status add_topic(const Topic& topic) override;
   [[nodiscard]] Status write(std::size_t topic, std::int64_t timestamp_ns,
                              std::span<const std::byte> data) override;
+  [[nodiscard]] Status flush() override { return end_chunk(); }
   [[nodiscard]] Status close(const std::string& metadata) override;
 
  private:

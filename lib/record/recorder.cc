@@ -101,6 +101,11 @@ Status Recorder::write(std::size_t topic, std::int64_t timestamp_ns,
   return {};
 }
 
+Status Recorder::flush() {
+  thread_.check();
+  return writer_ ? writer_->flush() : Status();
+}
+
 std::string Recorder::metadata(const std::string& indent) const {
   const std::string file = quoted(std::filesystem::path(path_).filename().string());
   const std::string duration = "nanoseconds: " + std::to_string(last_ns_ - first_ns_) + "\n";

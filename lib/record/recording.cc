@@ -3,9 +3,15 @@
 
 #include <algorithm>
 #include <cctype>
+#include <charconv>
+#include <ctime>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
+#include <string_view>
 #include <utility>
+
+#include <fmt/format.h>
 
 #include "record/storage.h"
 
@@ -26,26 +32,63 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kMaxMetadataBytes = 4u << 20;
 
-/// rosbag2 can compress each message of an SQLite file by itself. Only metadata.yaml tells.
-bool messages_compressed(const fs::path& folder) {
+/// What metadata.yaml of a folder says. It is rosbag2's own layout that is read, line by line.
+struct Metadata {
+  /// rosbag2 can compress each message of an SQLite file by itself. Only metadata.yaml tells.
+  bool messages_compressed = false;
+  std::vector<std::string> files;             ///< names
+  std::optional<std::uint64_t> num_messages;  ///< of all files
+};
+
+std::string_view unquoted(std::string_view text) {
+  const std::size_t begin = text.find_first_not_of(" \t\r\"'");
+  if (begin == std::string_view::npos) return {};
+  return text.substr(begin, text.find_last_not_of(" \t\r\"'") - begin + 1);
+}
+
+Metadata read_metadata(const fs::path& folder) {
   std::ifstream in(folder / "metadata.yaml");
   std::string text(kMaxMetadataBytes, '\0');
   in.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<std::size_t>(in.gcount()));
-  const std::string key = "compression_mode:";
-  const std::size_t at = text.find("\n  " + key);
-  if (at == std::string::npos) return false;
-  const std::size_t begin = at + 3 + key.size();
-  std::string mode = text.substr(begin, text.find('\n', begin) - begin);
-  std::transform(mode.begin(), mode.end(), mode.begin(),
-                 [](unsigned char c) { return std::tolower(c); });
-  return mode.find("message") != std::string::npos;
+  Metadata found;
+  bool in_files = false;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    const std::string_view item = unquoted(line);
+    if (in_files && item.starts_with("- ")) {
+      if (found.files.size() < kMaxFiles)
+        found.files.push_back(fs::path(unquoted(item.substr(2))).filename().string());
+      continue;
+    }
+    in_files = false;
+    // Keys of the bag have two spaces before them, those of its topics and files more.
+    if (!line.starts_with("  ") || line.starts_with("   ")) continue;
+    const std::size_t colon = item.find(':');
+    if (colon == std::string_view::npos) continue;
+    const std::string_view key = item.substr(0, colon), value = unquoted(item.substr(colon + 1));
+    in_files = key == "relative_file_paths";
+    if (key == "compression_mode") {
+      std::string mode(value);
+      std::transform(mode.begin(), mode.end(), mode.begin(),
+                     [](unsigned char c) { return std::tolower(c); });
+      found.messages_compressed = mode.find("message") != std::string::npos;
+    }
+    std::uint64_t count = 0;
+    if (key == "message_count" &&
+        std::from_chars(value.data(), value.data() + value.size(), count).ec == std::errc())
+      found.num_messages = count;
+  }
+  return found;
 }
 
+}  // namespace
+
 /// The files of a rosbag2 folder, in the order of their numbers; any other path as it is.
-Result<std::vector<std::string>> resolve(const std::string& path) {
+Result<Found> find_files(const std::string& path) {
   std::error_code error;
-  if (!fs::is_directory(path, error)) return std::vector<std::string>{path};
+  if (!fs::is_directory(path, error)) return Found{{path}, false, {}, {}};
+  Metadata metadata = read_metadata(path);
   std::vector<std::string> mcap, sqlite, compressed;
   for (fs::directory_iterator entry(path, error), end; !error && entry != end;
        entry.increment(error)) {
@@ -65,7 +108,7 @@ Result<std::vector<std::string>> resolve(const std::string& path) {
   if (!mcap.empty() && !sqlite.empty())
     return fail(ErrorCode::kInvalid, "holds .mcap files and .db3 files", path,
                 "name the one to read");
-  if (!sqlite.empty() && messages_compressed(path))
+  if (!sqlite.empty() && metadata.messages_compressed)
     return fail(ErrorCode::kInvalid, "holds messages that are compressed one by one", path,
                 "`ros2 bag convert` makes a bag without that");
   std::vector<std::string>& found = mcap.empty() ? sqlite : mcap;
@@ -77,8 +120,10 @@ Result<std::vector<std::string>> resolve(const std::string& path) {
   std::sort(found.begin(), found.end(), [](const std::string& a, const std::string& b) {
     return a.size() != b.size() ? a.size() < b.size() : a < b;  // bag_9 before bag_10
   });
-  return std::move(found);
+  return Found{std::move(found), true, std::move(metadata.files), metadata.num_messages};
 }
+
+namespace {
 
 Result<std::unique_ptr<Reader>> open_file(const std::string& path) {
   std::error_code error;
@@ -105,21 +150,64 @@ Recording::Recording(Recording&&) noexcept = default;
 Recording& Recording::operator=(Recording&&) noexcept = default;
 Recording::~Recording() = default;
 
+std::string gap_text(std::int64_t from_ns, std::int64_t to_ns) {
+  const auto length = [](double seconds) {
+    if (seconds < 7200) return fmt::format("{:.1f} minutes", seconds / 60);
+    if (seconds < 172'800) return fmt::format("{:.1f} hours", seconds / 3600);
+    if (seconds < 63'115'200) return fmt::format("{:.1f} days", seconds / 86'400);
+    return fmt::format("{:.1f} years", seconds / 31'557'600);
+  };
+  const auto instant = [](std::int64_t ns) {
+    const std::time_t seconds = ns / 1'000'000'000;
+    std::tm utc{};
+    gmtime_r(&seconds, &utc);
+    return fmt::format("{:04}-{:02}-{:02} {:02}:{:02}:{:02}.{:03}", utc.tm_year + 1900,
+                       utc.tm_mon + 1, utc.tm_mday, utc.tm_hour, utc.tm_min, utc.tm_sec,
+                       ns / 1'000'000 % 1000);
+  };
+  return fmt::format("{} without a message, from {} to {} UTC",
+                     length(static_cast<double>(to_ns - from_ns) * 1e-9), instant(from_ns),
+                     instant(to_ns));
+}
+
 Result<Recording> Recording::open(const std::string& given) {
   Recording r;
   r.path_ = given;
-  XAUTO_ASSIGN(const std::vector<std::string> paths, resolve(given));
-  if (paths.size() == 1) r.path_ = paths.front();
-  for (const std::string& path : paths) {
-    XAUTO_ASSIGN(auto reader, open_file(path));
-    XAUTO_TRY(r.add(std::move(reader), path));
+  XAUTO_ASSIGN(const Found found, find_files(given));
+  if (found.files.size() == 1) r.path_ = found.files.front();
+  std::optional<Error> first;  // of the files of which nothing can be read
+  bool any = false;
+  for (const std::string& path : found.files) {
+    auto reader = open_file(path);
+    if (!reader && found.folder && reader.error().code == ErrorCode::kInvalid) {
+      r.tell(path, "nothing of it can be read: " + reader.error().what);
+      if (!first) first = std::move(reader).error();
+      continue;
+    }
+    if (!reader) return tl::unexpected<Error>(std::move(reader).error());
+    XAUTO_TRY(r.add(std::move(*reader), path));
+    any = true;
   }
-  if (r.topics_.empty()) return fail(ErrorCode::kInvalid, "has no topics", r.path_);
-  if (r.num_messages_ == 0) return fail(ErrorCode::kInvalid, "has no messages", r.path_);
+  if (!any && first) return tl::unexpected<Error>(std::move(*first));
+  const std::string why = found.folder && !r.note_.empty() ? ": " + r.note_ : "";
+  if (r.topics_.empty()) return fail(ErrorCode::kInvalid, "has no topics" + why, r.path_);
+  if (r.num_messages_ == 0) return fail(ErrorCode::kInvalid, "has no messages" + why, r.path_);
+  for (const std::string& name : found.named)
+    if (std::error_code error; !fs::exists(fs::path(given) / name, error))
+      r.tell(given, "metadata.yaml names " + shown(name) + ", which is not there");
+  if (const auto said = found.num_messages; said && *said > r.num_messages_)
+    r.tell(given, "metadata.yaml counts " + std::to_string(*said) + " messages, " +
+                      std::to_string(r.num_messages_) + " are there");
   return r;
 }
 
+void Recording::tell(const std::string& path, const std::string& what) {
+  if (!note_.empty()) note_ += "\n";
+  note_ += path + ": " + what;
+}
+
 Status Recording::add(std::unique_ptr<Reader> reader, const std::string& path) {
+  if (const std::string note = reader->note(); !note.empty()) tell(path, note);
   auto file = std::make_unique<File>();
   for (const Topic& topic : reader->topics()) {
     const auto [at, is_new] = topic_at_.try_emplace(topic.name, topics_.size());
@@ -140,10 +228,6 @@ Status Recording::add(std::unique_ptr<Reader> reader, const std::string& path) {
   if (reader->num_messages() == 0) return {};  // the last of a split bag may be
   XAUTO_ASSIGN(file->start_ns, reader->start_ns());
   num_messages_ += reader->num_messages();
-  if (const std::string note = reader->note(); !note.empty()) {
-    if (!note_.empty()) note_ += "\n";
-    note_ += path + ": " + note;
-  }
   file->path = path;
   file->reader = std::move(reader);
   files_.push_back(std::move(file));

@@ -32,6 +32,12 @@ inline constexpr std::size_t kMaxFiles = 256;  ///< of a folder: all are open at
 /// 2100-01-01: a time stamp beyond it is a mistake of unit or a damaged file.
 inline constexpr std::int64_t kMaxTimestampNs = 4'102'444'800'000'000'000;
 
+/// No sensor of a vehicle is silent for so long: a clock was set while it was recorded, or a stamp is
+/// wrong. Who replays it, waits as long.
+inline constexpr std::int64_t kGapNs = 60'000'000'000;
+/// "53.9 years without a message, from 1970-01-01 00:00:30.400 to 2023-11-14 22:13:20.000 UTC".
+[[nodiscard]] std::string gap_text(std::int64_t from_ns, std::int64_t to_ns);
+
 struct Topic {
   std::string name, type, serialization_format;
   /// What `type` means to who has never seen it: "ros2msg" and the .msg files' text, for example.
@@ -54,7 +60,7 @@ class Writer;
 class Recording {
  public:
   /// `path`: a .mcap or .db3 file, or a folder that holds such files, of one kind. kInvalid names
-  /// what is wrong with it.
+  /// what is wrong with it. In a folder a file of which nothing can be read is left out and noted.
   [[nodiscard]] static Result<Recording> open(const std::string& path);
   Recording(Recording&&) noexcept;
   Recording& operator=(Recording&&) noexcept;
@@ -64,7 +70,8 @@ class Recording {
   [[nodiscard]] std::uint64_t num_messages() const { return num_messages_; }
   /// nullopt at the end. What is wrong with one message is found here, not by open().
   [[nodiscard]] Result<std::optional<Message>> next();
-  /// Why this is not all that was recorded: its recorder died. Empty: nothing says that it did.
+  /// Why this is not all that was recorded, a line per file: its recorder died, it is damaged, it is not
+  /// there. Empty: nothing says so.
   [[nodiscard]] const std::string& note() const { return note_; }
   /// Before the first next(): reads all files from end to end for the checksums of the whole. Those
   /// of a chunk are always checked.
@@ -74,6 +81,7 @@ class Recording {
   struct File;
   Recording() = default;
   [[nodiscard]] Status add(std::unique_ptr<Reader> reader, const std::string& path);
+  void tell(const std::string& path, const std::string& what);
   [[nodiscard]] Status fetch(File& file);
 
   std::string path_;
@@ -102,6 +110,8 @@ class Recorder {
   [[nodiscard]] Result<std::size_t> add_topic(const Topic& topic);
   [[nodiscard]] Status write(std::size_t topic, std::int64_t timestamp_ns,
                              std::span<const std::byte> data);
+  /// What was written and added is in the file: whoever dies after it does not lose it.
+  [[nodiscard]] Status flush();
   /// Writes what is left and the metadata; an error means that the last batch may not be there.
   [[nodiscard]] Status close();
 

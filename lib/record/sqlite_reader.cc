@@ -7,8 +7,10 @@
 #include <fstream>
 #include <set>
 
+#include <fmt/format.h>
 #include <sqlite3.h>
 
+#include "record/salvage.h"
 #include "record/sqlite.h"
 #include "record/storage.h"
 
@@ -43,11 +45,16 @@ class SqliteReader final : public Reader {
   [[nodiscard]] std::uint64_t num_messages() const override { return num_messages_; }
   [[nodiscard]] Result<std::int64_t> start_ns() override;
   [[nodiscard]] Result<std::optional<Message>> next() override;
+  [[nodiscard]] static Status salvage(const std::string& path, const Take& take, Salvaged& out);
 
  private:
+  [[nodiscard]] Status open_database();
   [[nodiscard]] Result<Statement> prepare(const char* sql) const;
   [[nodiscard]] tl::unexpected<Error> broken(const std::string& what) const;
   [[nodiscard]] tl::unexpected<Error> damaged() const;  ///< with SQLite's last error
+  [[nodiscard]] Result<Message> head_of(sqlite3_stmt* row) const;
+  [[nodiscard]] Result<std::vector<std::byte>> data_of(sqlite3_stmt* row, int column,
+                                                       std::int64_t id) const;
   [[nodiscard]] Status check_layout() const;
   [[nodiscard]] Status read_topics();
   [[nodiscard]] Status count_messages(std::uint64_t file_bytes);
@@ -78,8 +85,11 @@ tl::unexpected<Error> SqliteReader::damaged() const {
       return broken("holds a value of more than " + std::to_string(kMaxMessageBytes) + " bytes");
     case SQLITE_READONLY:
     case SQLITE_CANTOPEN:
-      return fail(ErrorCode::kInvalid, "was not closed by its recorder", path_,
-                  "`sqlite3 " + path_ + " .tables` repairs it, with the right to write there");
+      return fail(
+          ErrorCode::kInvalid,
+          "was not closed by its recorder: a journal beside it (-wal, -journal) is part of it, "
+          "and its folder cannot be written",
+          path_, "copy both to where you may write, and read the copy");
     default:
       return broken(std::string("is damaged: ") + sqlite3_errmsg(database_.get()));
   }
@@ -92,34 +102,68 @@ Result<Statement> SqliteReader::prepare(const char* sql) const {
   return Statement(statement);
 }
 
+/// In WAL mode, and its log has been merged: the file is all there is. SQLite would make a -shm beside
+/// it, which a medium that cannot be written refuses.
+bool is_merged_wal(const std::string& path) {
+  constexpr std::streamoff kReadVersion = 19;  // of the header: 2 is WAL
+  std::ifstream in(path, std::ios::binary);
+  std::error_code error;
+  const auto log = std::filesystem::file_size(path + "-wal", error);
+  return in.seekg(kReadVersion) && in.get() == 2 && (error || log == 0);
+}
+
+/// As SQLite's URIs have it.
+std::string immutable_uri(const std::string& path) {
+  std::string uri = "file:";
+  for (const char c : std::filesystem::absolute(path).string())
+    uri += c == '%' || c == '?' || c == '#' ? fmt::format("%{:02x}", static_cast<unsigned char>(c))
+                                            : std::string(1, c);
+  return uri + "?immutable=1";
+}
+
+Status SqliteReader::open_database() {
+  std::error_code error;
+  const std::uint64_t bytes = std::filesystem::file_size(path_, error);
+  char magic[16] = {};
+  if (std::ifstream in(path_, std::ios::binary); !in) {
+    return broken("cannot be opened");
+  } else if (!in.read(magic, sizeof magic) ||
+             std::memcmp(magic, "SQLite format 3", sizeof magic) != 0) {
+    return broken(bytes == 0 ? "is empty" : "is not an SQLite file");
+  }
+  budget_ = kStepsToStart + static_cast<std::int64_t>(bytes) * kStepsPerByte;
+  const auto open = [this](const std::string& name, int flags) {
+    sqlite3* database = nullptr;
+    const int opened =
+        sqlite3_open_v2(name.c_str(), &database, SQLITE_OPEN_READONLY | flags, nullptr);
+    database_.reset(database);
+    if (opened != SQLITE_OK) return false;
+    sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+    sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+    sqlite3_db_config(database, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
+    sqlite3_limit(database, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxMessageBytes));
+    sqlite3_progress_handler(database, kStepsPerCall, spend, &budget_);
+    // The first that reads: only now is known whether it can be.
+    return sqlite3_exec(database,
+                        "PRAGMA cell_size_check=ON; PRAGMA mmap_size=0; PRAGMA schema_version",
+                        nullptr, nullptr, nullptr) == SQLITE_OK;
+  };
+  if (!open(path_, 0)) {
+    const int why = sqlite3_errcode(database_.get());
+    const bool unwritable = why == SQLITE_CANTOPEN || why == SQLITE_READONLY;
+    if (!unwritable || !is_merged_wal(path_) || !open(immutable_uri(path_), SQLITE_OPEN_URI))
+      return damaged();
+  }
+  XAUTO_TRY(check_layout());
+  return read_topics();
+}
+
 Result<std::unique_ptr<Reader>> SqliteReader::open(const std::string& path) {
   auto r = std::make_unique<SqliteReader>();
   r->path_ = path;
+  XAUTO_TRY(r->open_database());
   std::error_code error;
-  const std::uint64_t bytes = std::filesystem::file_size(path, error);
-  char magic[16] = {};
-  if (std::ifstream in(path, std::ios::binary); !in) {
-    return r->broken("cannot be opened");
-  } else if (!in.read(magic, sizeof magic) ||
-             std::memcmp(magic, "SQLite format 3", sizeof magic) != 0) {
-    return r->broken("is not an SQLite file");
-  }
-  sqlite3* database = nullptr;
-  const int opened = sqlite3_open_v2(r->path_.c_str(), &database, SQLITE_OPEN_READONLY, nullptr);
-  r->database_.reset(database);
-  if (opened != SQLITE_OK) return r->damaged();
-  sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-  sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
-  sqlite3_db_config(database, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
-  sqlite3_limit(database, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxMessageBytes));
-  sqlite3_exec(database, "PRAGMA cell_size_check=ON; PRAGMA mmap_size=0", nullptr, nullptr,
-               nullptr);
-  r->budget_ = kStepsToStart + static_cast<std::int64_t>(bytes) * kStepsPerByte;
-  sqlite3_progress_handler(database, kStepsPerCall, spend, &r->budget_);
-
-  XAUTO_TRY(r->check_layout());
-  XAUTO_TRY(r->read_topics());
-  XAUTO_TRY(r->count_messages(bytes));
+  XAUTO_TRY(r->count_messages(std::filesystem::file_size(path, error)));
   XAUTO_ASSIGN(
       r->order_,
       r->prepare("SELECT rowid, topic_id, timestamp FROM messages ORDER BY timestamp, rowid"));
@@ -224,21 +268,13 @@ Result<std::int64_t> SqliteReader::start_ns() {
   return sqlite3_column_int64(first.get(), 0);
 }
 
-Result<std::optional<Message>> SqliteReader::next() {
-  thread_.check();
-  if (finished_) return std::optional<Message>();
-  sqlite3_stmt* row = order_.get();
-  const int step = sqlite3_step(row);
-  if (step == SQLITE_DONE && num_read_ == num_messages_) {
-    finished_ = true;
-    return std::optional<Message>();
-  }
-  if (step == SQLITE_DONE || (step == SQLITE_ROW && num_read_ == num_messages_))
-    return broken("is damaged: its index does not list its messages");
-  if (step != SQLITE_ROW) return damaged();
-  ++num_read_;
-  const std::int64_t id = sqlite3_column_int64(row, 0);
-  const std::string which = "message " + std::to_string(id) + ": ";
+std::string message_name(std::int64_t id) {
+  return "message " + std::to_string(id) + ": ";
+}
+
+/// Topic and time of a row whose first columns are rowid, topic_id and timestamp.
+Result<Message> SqliteReader::head_of(sqlite3_stmt* row) const {
+  const std::string which = message_name(sqlite3_column_int64(row, 0));
   if (sqlite3_column_type(row, 1) != SQLITE_INTEGER)
     return broken(which + "topic_id is not an integer");
   if (sqlite3_column_type(row, 2) != SQLITE_INTEGER)
@@ -253,6 +289,77 @@ Result<std::optional<Message>> SqliteReader::next() {
   if (message.timestamp_ns < 0 || message.timestamp_ns > kMaxTimestampNs)
     return broken(which + "timestamp " + std::to_string(message.timestamp_ns) +
                   " is not from 0 to " + std::to_string(kMaxTimestampNs) + " ns");
+  return message;
+}
+
+Result<std::vector<std::byte>> SqliteReader::data_of(sqlite3_stmt* row, int column,
+                                                     std::int64_t id) const {
+  if (sqlite3_column_type(row, column) != SQLITE_BLOB)
+    return broken(message_name(id) + "data is not a blob");
+  const auto* data = static_cast<const std::byte*>(sqlite3_column_blob(row, column));
+  const auto bytes = static_cast<std::size_t>(sqlite3_column_bytes(row, column));
+  if (data == nullptr && bytes > 0) return damaged();
+  return std::vector<std::byte>(data, data + bytes);
+}
+
+/// By the table alone, since an index may be what is broken; from its end where its pages are, in the middle.
+Status SqliteReader::salvage(const std::string& path, const Take& take, Salvaged& out) {
+  SqliteReader reader;
+  reader.path_ = path;
+  if (const Status opened = reader.open_database(); !opened) {
+    if (opened.error().code != ErrorCode::kInvalid) return opened;
+    out.leave_out(path, opened.error().what);
+    return {};
+  }
+  reader.budget_ *= 2;  // for two ways through
+  bool any = false;
+  std::int64_t last = 0;
+  for (const bool backwards : {false, true}) {
+    auto rows = reader.prepare(
+        backwards
+            ? "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid "
+              "DESC"
+            : "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid");
+    int step = SQLITE_ERROR;
+    while (rows && (step = sqlite3_step(rows->get())) == SQLITE_ROW) {
+      const std::int64_t id = sqlite3_column_int64(rows->get(), 0);
+      if (any && id <= last) break;  // known already, or pages that lead in circles
+      if (!backwards) {
+        any = true;
+        last = id;
+      }
+      const Result<Message> message = reader.head_of(rows->get());
+      const auto data =
+          message ? reader.data_of(rows->get(), 3, id) : tl::unexpected<Error>(message.error());
+      if (!data) {
+        out.leave_out(path, data.error().what);
+        continue;
+      }
+      XAUTO_TRY(take(reader.topics_[message->topic], message->timestamp_ns, *data));
+      ++out.messages;
+    }
+    if (step == SQLITE_DONE || step == SQLITE_ROW) return {};
+    out.leave_out(path, (any ? "after message " + std::to_string(last) + ": " : std::string()) +
+                            reader.damaged().value().what);
+  }
+  return {};
+}
+
+Result<std::optional<Message>> SqliteReader::next() {
+  thread_.check();
+  if (finished_) return std::optional<Message>();
+  const int step = sqlite3_step(order_.get());
+  if (step == SQLITE_DONE && num_read_ == num_messages_) {
+    finished_ = true;
+    return std::optional<Message>();
+  }
+  if (step == SQLITE_DONE || (step == SQLITE_ROW && num_read_ == num_messages_))
+    return broken("is damaged: its index does not list its messages");
+  if (step != SQLITE_ROW) return damaged();
+  ++num_read_;
+  XAUTO_ASSIGN(Message message, head_of(order_.get()));
+  const std::int64_t id = sqlite3_column_int64(order_.get(), 0);
+  const std::string which = message_name(id);
   if (message.timestamp_ns < last_ns_) return broken("is damaged: its index is not in order");
   last_ns_ = message.timestamp_ns;
 
@@ -265,11 +372,7 @@ Result<std::optional<Message>> SqliteReader::next() {
   if (got == SQLITE_TOOBIG)
     return broken(which + "data is longer than " + std::to_string(kMaxMessageBytes) + " bytes");
   if (got != SQLITE_ROW) return damaged();
-  if (sqlite3_column_type(blob, 0) != SQLITE_BLOB) return broken(which + "data is not a blob");
-  const auto* data = static_cast<const std::byte*>(sqlite3_column_blob(blob, 0));
-  const auto bytes = static_cast<std::size_t>(sqlite3_column_bytes(blob, 0));
-  if (data == nullptr && bytes > 0) return damaged();
-  message.data.assign(data, data + bytes);
+  XAUTO_ASSIGN(message.data, data_of(blob, 0, id));
   return std::optional<Message>(std::move(message));
 }
 
@@ -280,6 +383,10 @@ void SqliteCloser::operator()(sqlite3* database) const {
 }
 void SqliteCloser::operator()(sqlite3_stmt* statement) const {
   sqlite3_finalize(statement);
+}
+
+Status salvage_sqlite(const std::string& path, const Take& take, Salvaged& out) {
+  return SqliteReader::salvage(path, take, out);
 }
 
 Result<std::unique_ptr<Reader>> open_sqlite(const std::string& path) {

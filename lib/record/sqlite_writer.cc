@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// rosbag2's sqlite3 storage, written. Messages are committed in batches and on close.
+// rosbag2's sqlite3 storage, written. Messages are committed in batches, when they are flushed, and on close.
 #include <sqlite3.h>
 
 #include "record/sqlite.h"
@@ -42,6 +42,7 @@ class SqliteWriter final : public Writer {
   [[nodiscard]] Status add_topic(const Topic& topic) override;
   [[nodiscard]] Status write(std::size_t topic, std::int64_t timestamp_ns,
                              std::span<const std::byte> data) override;
+  [[nodiscard]] Status flush() override;
   [[nodiscard]] Status close(const std::string& metadata) override;
 
  private:
@@ -111,6 +112,10 @@ Status SqliteWriter::write(std::size_t topic, std::int64_t timestamp_ns,
   if (done != SQLITE_DONE) return failed();
   batch_bytes_ += data.size();
   if (++batch_messages_ < kBatchMessages && batch_bytes_ < kBatchBytes) return {};
+  return flush();
+}
+
+Status SqliteWriter::flush() {
   batch_messages_ = batch_bytes_ = 0;
   sqlite3_reset(insert_.get());
   return execute("COMMIT; BEGIN");

@@ -55,12 +55,23 @@ class Writer {
   [[nodiscard]] virtual Status add_topic(const Topic& topic) = 0;
   [[nodiscard]] virtual Status write(std::size_t topic, std::int64_t timestamp_ns,
                                      std::span<const std::byte> data) = 0;
+  /// See Recorder.
+  [[nodiscard]] virtual Status flush() = 0;
   /// Once, and last. `metadata`: rosbag2's, as YAML.
   [[nodiscard]] virtual Status close(const std::string& metadata) = 0;
 };
 
 [[nodiscard]] Result<std::unique_ptr<Writer>> create_sqlite(const std::string& path);
 [[nodiscard]] Result<std::unique_ptr<Writer>> create_mcap(const std::string& path);
+
+/// The files of a recording, in their order, and what its metadata.yaml says.
+struct Found {
+  std::vector<std::string> files;
+  bool folder = false;
+  std::vector<std::string> named;             ///< by metadata.yaml
+  std::optional<std::uint64_t> num_messages;  ///< likewise, of all files
+};
+[[nodiscard]] Result<Found> find_files(const std::string& path);
 
 /// A name of a file in a message: quoted, cut, printable.
 [[nodiscard]] std::string shown(std::string text);

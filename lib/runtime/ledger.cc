@@ -185,16 +185,18 @@ void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
 void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ModuleLine& counts = context_.board.module(module);
   if (is_off(module, sequence)) reason = XAUTO_DROP_OFF;
-  (reason == XAUTO_DROP_FAILED ? counts.failed
-   : reason == XAUTO_DROP_OFF  ? counts.off
-                               : counts.dropped)
+  (reason == XAUTO_DROP_FAILED    ? counts.failed
+   : reason == XAUTO_DROP_OFF     ? counts.off
+   : reason == XAUTO_DROP_SKIPPED ? counts.skipped
+                                  : counts.dropped)
       .fetch_add(1, std::memory_order_relaxed);
   if (context_.trace != nullptr)
     context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
                           static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);
   if (ends_releases_[static_cast<std::size_t>(module)] != 0)
-    through(module, sequence, reason == XAUTO_DROP_OFF ? detail::kOffNs : 0, nullptr, now_ns(),
-            true, false);
+    through(module, sequence,
+            reason == XAUTO_DROP_OFF || reason == XAUTO_DROP_SKIPPED ? detail::kOffNs : 0, nullptr,
+            now_ns(), true, false);
 }
 
 void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
@@ -422,6 +424,7 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
                         counts.failed,
                         counts.dropped,
                         counts.off,
+                        counts.skipped,
                         {},
                         unended_[m]};
     const Guard lock(latencies_[m]->mutex);

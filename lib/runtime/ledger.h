@@ -39,7 +39,8 @@ class Ledger {
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason);
   /// A sink of its table, or a module where a chain ends, is through with release `sequence`; known here, or
   /// told by its process.
-  /// `origin_ns` of what is lost: detail::kOffNs where it is no loss, since the module is off.
+  /// `origin_ns` of what is lost: detail::kOffNs where it is no loss, since the module is off, or skips as it was
+  /// told.
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now_ns, bool lost, bool urgent);
   /// Whether a chain ends at `node` of the graph.

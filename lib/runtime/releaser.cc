@@ -642,8 +642,31 @@ int Releaser::slowest_source() const {
   return slowest;
 }
 
+constexpr int kMaxGapsTold = 5;
+
+/// Between two releases of a recording. A long one is told before it is waited for.
+std::int64_t Releaser::distance_ns(std::int64_t from_ns, std::int64_t to_ns) {
+  const Session& session = context_.session;
+  const auto recorded_ns =
+      static_cast<std::int64_t>(static_cast<double>(to_ns - from_ns) / session.input_rate);
+  const std::int64_t distance_ns = session.input_max_gap_us > 0
+                                       ? std::min(recorded_ns, session.input_max_gap_us * 1000)
+                                       : recorded_ns;
+  if (to_ns - from_ns <= record::kGapNs || session.lockstep) return distance_ns;
+  std::string line = "the recording has " + record::gap_text(from_ns, to_ns) + ": ";
+  line +=
+      distance_ns < recorded_ns
+          ? fmt::format("{:.3f} s of it are waited for", static_cast<double>(distance_ns) * 1e-9)
+          : fmt::format("the next message comes in {:.0f} s; --max-gap 1 or --rate shortens that",
+                        static_cast<double>(distance_ns) * 1e-9);
+  log::warn("{}", line);
+  if (++gaps_ <= kMaxGapsTold) notes_.push_back(std::move(line));
+  return distance_ns;
+}
+
 /// Releases a recording's messages: message k of each recorded source topic is release k. In
-/// lockstep, or at the recorded distances in time (or `period_us`).
+/// lockstep, or at the recorded distances in time (as `input_rate` and `input_max_gap_us` have
+/// them, or `period_us`).
 Status Releaser::release_recorded() {
   XAUTO_ASSIGN(auto recording, record::Recording::open(context_.session.input));
   std::vector<int> topic_of(recording.topics().size(), -1);
@@ -672,7 +695,7 @@ Status Releaser::release_recorded() {
   std::vector<Sample> batch;
   std::size_t num_topics = 0;
   for (const int t : topic_of) num_topics += t >= 0 ? 1 : 0;
-  std::int64_t first_stamp = -1, start = 0;
+  std::int64_t last_stamp = -1, start = 0, at_ns = 0;
   std::uint64_t releases = 0, counted = 0;  // of all sources; of the slowest
   const int slowest = slowest_source();
   while (!stop_.load() &&
@@ -696,14 +719,15 @@ Status Releaser::release_recorded() {
     }
     ++number;
     if (context_.graph.single_rate && batch.size() < num_topics) continue;
-    if (first_stamp < 0) {
-      first_stamp = message->timestamp_ns;
+    if (last_stamp < 0) {
+      last_stamp = message->timestamp_ns;
       start = now_ns() + 20'000'000;
     }
-    const std::int64_t at_ns =
-        context_.session.period_us > 0
-            ? static_cast<std::int64_t>(releases) * context_.session.period_us * 1000
-            : message->timestamp_ns - first_stamp;
+    if (context_.session.period_us > 0)
+      at_ns = static_cast<std::int64_t>(releases) * context_.session.period_us * 1000;
+    else
+      at_ns += distance_ns(last_stamp, message->timestamp_ns);
+    last_stamp = message->timestamp_ns;
     if (context_.session.duration_us > 0 && at_ns >= context_.session.duration_us * 1000) break;
     if (context_.session.lockstep)
       XAUTO_TRY(drain_for_lockstep());

@@ -89,6 +89,7 @@ class Releaser {
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
+  [[nodiscard]] std::int64_t distance_ns(std::int64_t from_ns, std::int64_t to_ns);
   std::int64_t take_fed(std::vector<Sample> fed, std::int64_t due_ns, std::vector<Sample>& samples);
   [[nodiscard]] std::int64_t component_release_ns(std::int64_t now_ns,
                                                   const std::vector<Sample>& samples) const;
@@ -115,6 +116,7 @@ class Releaser {
   std::vector<std::uint64_t> pushed_;  ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;      ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;
+  int gaps_ = 0;  ///< of the recording, longer than record::kGapNs
   /// What is not as app.json states.
   struct Seen {
     std::uint64_t of = 0;

@@ -99,7 +99,7 @@ void Worker::manage() {
           suspended->told_ns = now;
         }
         if (const Status fed = backend_->still_wanted(); !fed)
-          log::warn("{}: runs although the coordinator suspended it: {}", options_.name,
+          log::warn("{}: has run although the coordinator suspended it: {}", options_.name,
                     fed.error().to_string());
         break;
       case coord::Command::kLost:

@@ -13,7 +13,16 @@ namespace {
 
 /// Why the releases up to that of a tombstone are lost here.
 std::uint32_t reason_of(const detail::Envelope& tombstone) {
-  return tombstone.origin_ns == detail::kOffNs ? XAUTO_DROP_OFF : XAUTO_DROP_UPSTREAM;
+  return tombstone.origin_ns == detail::kOffNs       ? XAUTO_DROP_OFF
+         : tombstone.origin_ns == detail::kSkippedNs ? XAUTO_DROP_SKIPPED
+                                                     : XAUTO_DROP_UPSTREAM;
+}
+
+/// For who hears the tombstone.
+std::int64_t origin_of(std::uint32_t reason) {
+  return reason == XAUTO_DROP_OFF       ? detail::kOffNs
+         : reason == XAUTO_DROP_SKIPPED ? detail::kSkippedNs
+                                        : 0;
 }
 
 }  // namespace
@@ -123,11 +132,11 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
     if (envelope.message == nullptr)
       settle(envelope.sequence + 1, reason_of(envelope), lost);
     else if (skip)
-      settle(envelope.sequence + 1, XAUTO_DROP_OVERRUN, lost);
+      settle(envelope.sequence + 1, XAUTO_DROP_SKIPPED, lost);
     else if (!queue.waiting.empty())
       settle(queue.waiting.front().sequence + 1, XAUTO_DROP_OVERRUN, lost);
   } else if (skip) {
-    lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_OVERRUN});
+    lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_SKIPPED});
   } else if (!queue.waiting.empty()) {
     const std::uint64_t old = queue.waiting.front().sequence;
     lost.push_back({old, old, XAUTO_DROP_OVERRUN});
@@ -553,7 +562,7 @@ void ModuleRuntime::tell_collected(std::vector<Lost>& lost, Started& started) {
 void ModuleRuntime::tell(const Turn& turn, Skipped& skipped) {
   if (turn.activation == nullptr) {
     tell_all({turn.lost});
-    skip_below(turn.lost.last + 1, turn.lost.reason == XAUTO_DROP_OFF, skipped);
+    skip_below(turn.lost.last + 1, origin_of(turn.lost.reason), skipped);
     return;
   }
   tell(*turn.activation, turn.activation->stage_ == Activation::Stage::kSucceeded, skipped);
@@ -569,7 +578,7 @@ void ModuleRuntime::tell(Activation& activation, bool succeeded, Skipped& skippe
                             activation.origins_, activation.urgent_});
   } else {
     tell_all({{sequence, sequence, XAUTO_DROP_FAILED}});
-    skip_below(sequence + 1, false, skipped);
+    skip_below(sequence + 1, 0, skipped);
   }
   activation.taken_.clear();
   host_.left(index_);
@@ -580,7 +589,7 @@ void ModuleRuntime::skip(Skipped skipped) {
   const std::uint64_t last = skipped.below - 1;
   host_.skip(index_, last);
   for (const transport::Channel* output : outputs_)
-    output->publish({nullptr, skipped.off ? detail::kOffNs : 0, last});
+    output->publish({nullptr, skipped.origin_ns, last});
 }
 
 void ModuleRuntime::tell_all(const std::vector<Lost>& lost) {

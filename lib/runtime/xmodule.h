@@ -146,10 +146,10 @@ class alignas(64) ModuleRuntime {
     Activation* activation = nullptr;  ///< null: `lost`
     Lost lost;
   };
-  /// Releases below `below` were left out; `off`: since the module is off in their table.
+  /// Releases below `below` were left out; `origin_ns`: of their tombstone, which says why.
   struct Skipped {
     std::uint64_t below = 0;  ///< 0: none
-    bool off = false;
+    std::int64_t origin_ns = 0;
   };
   /// Activations that the caller has to run, in order.
   struct Started {
@@ -229,9 +229,10 @@ class alignas(64) ModuleRuntime {
   }
   void skip(Skipped skipped) XAUTO_REQUIRES(order_);
   /// Numbered: all below `below` were, and what comes next is not told yet.
-  void skip_below(std::uint64_t below, bool off, Skipped& skipped) XAUTO_REQUIRES(order_) {
-    if (skipped.off != off) tell_skipped(skipped);
-    if (numbered_) skipped = {below, off};
+  void skip_below(std::uint64_t below, std::int64_t origin_ns, Skipped& skipped)
+      XAUTO_REQUIRES(order_) {
+    if (skipped.origin_ns != origin_ns) tell_skipped(skipped);
+    if (numbered_) skipped = {below, origin_ns};
   }
   void tell(const std::vector<Lost>& lost) {
     if (!lost.empty()) tell_all(lost);

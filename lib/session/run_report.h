@@ -25,6 +25,7 @@ struct ModuleReport {
   bool sink = false;
   std::uint64_t activations = 0, failed = 0, dropped = 0;
   std::uint64_t off = 0;      ///< releases in whose table it is off
+  std::uint64_t skipped = 0;  ///< those that it, or a module before it, skipped as it was told
   Distribution latencies_us;  ///< sinks: origin to done, per activation
   /// Of a run that gave up: what was released for it and has no result, neither as done nor as lost.
   std::uint64_t unended = 0;

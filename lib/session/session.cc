@@ -36,7 +36,8 @@ void fields(Io io, T& x) {
 template <class Io, Is<ModuleReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "sink", x.sink, "activations", x.activations, "failed", x.failed, "dropped",
-     x.dropped, "off", x.off, "latencies_us", x.latencies_us, "unended", x.unended);
+     x.dropped, "off", x.off, "skipped", x.skipped, "latencies_us", x.latencies_us, "unended",
+     x.unended);
 }
 
 template <class Io, Is<XNodeReport> T>
@@ -112,12 +113,13 @@ void fields(Io io, T& x) {
      x.cpu_partial, "cpu_by_keys", x.cpu_by_keys, "presence", x.presence, "emulator_modules",
      x.emulator_modules, "coordinators", x.coordinators, "activations", x.activations,
      "duration_us", x.duration_us, "lockstep", x.lockstep, "period_us", x.period_us, "input",
-     x.input, "record", x.record, "record_outputs", x.record_outputs, "warmup", x.warmup,
-     "repetitions", x.repetitions, "margin_pct", x.margin_pct, "exec_limit_s", x.exec_limit_s,
-     "stable_rounds", x.stable_rounds, "contended", x.contended, "audit", x.audit, "load_xpu",
-     x.load_xpu, "load_fd", x.load_fd, "load_cores", x.load_cores, "machine_root", x.machine_root,
-     "answer_fd", x.answer_fd, "trace_fd", x.trace_fd, "board_fd", x.board_fd, "trace_keep_s",
-     x.trace_keep_s, "processes", x.processes, "hub", x.hub, "hub_fd", x.hub_fd);
+     x.input, "input_rate", x.input_rate, "input_max_gap_us", x.input_max_gap_us, "record",
+     x.record, "record_outputs", x.record_outputs, "warmup", x.warmup, "repetitions", x.repetitions,
+     "margin_pct", x.margin_pct, "exec_limit_s", x.exec_limit_s, "stable_rounds", x.stable_rounds,
+     "contended", x.contended, "audit", x.audit, "load_xpu", x.load_xpu, "load_fd", x.load_fd,
+     "load_cores", x.load_cores, "machine_root", x.machine_root, "answer_fd", x.answer_fd,
+     "trace_fd", x.trace_fd, "board_fd", x.board_fd, "trace_keep_s", x.trace_keep_s, "processes",
+     x.processes, "hub", x.hub, "hub_fd", x.hub_fd);
 }
 
 constexpr Mode last(Mode) {

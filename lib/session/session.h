@@ -69,12 +69,14 @@ struct Session {
   /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
   /// stop, or the input's end.
   std::uint64_t activations = 0;
-  std::int64_t duration_us = 0;  ///< release for so long instead; 0: count
-  bool lockstep = false;         ///< the next release comes when the last one has drained
-  std::int64_t period_us = 0;    ///< instead of the sources' own; 0: theirs
-  std::string input;             ///< recorded input; empty: the sources' own messages
-  std::string record;            ///< record the sources' messages into this file; empty: don't
-  bool record_outputs = false;   ///< ... and what modules publish
+  std::int64_t duration_us = 0;       ///< release for so long instead; 0: count
+  bool lockstep = false;              ///< the next release comes when the last one has drained
+  std::int64_t period_us = 0;         ///< instead of the sources' own; 0: theirs
+  std::string input;                  ///< recorded input; empty: the sources' own messages
+  double input_rate = 1;              ///< replayed so much faster than it was recorded
+  std::int64_t input_max_gap_us = 0;  ///< no longer between two of its releases; 0: as recorded
+  std::string record;                 ///< record the sources' messages into this file; empty: don't
+  bool record_outputs = false;        ///< ... and what modules publish
   std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
   std::int64_t margin_pct = 20;                ///< kProfile
   std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it

@@ -508,7 +508,8 @@ class Painter {
           {activation.begin_ns, activation.end_ns, 0, lane_of[a],
            fmt::format("{} {}{}", scene_.modules[static_cast<std::size_t>(activation.module)].name,
                        activation.sequence,
-                       activation.off()                    ? " off"
+                       activation.left_out()
+                           ? (activation.reason == XAUTO_DROP_OFF ? " off" : " skipped")
                        : activation.fate == Fate::kDropped ? " dropped"
                                                            : ""),
            std::move(details)});
@@ -639,7 +640,7 @@ class Painter {
     }
     Steps dropped, missed;
     for (const Activation& a : story_.activations)
-      if (a.fate == Fate::kDropped && !a.off()) dropped.emplace_back(a.end_ns, 1);
+      if (a.fate == Fate::kDropped && !a.left_out()) dropped.emplace_back(a.end_ns, 1);
     if (app_.deadline_us && story_.several_rates)
       for (const Activation& a : story_.activations)
         if (a.fate == Fate::kDone && scene_.modules[static_cast<std::size_t>(a.module)].sink &&

@@ -390,7 +390,7 @@ class Reader {
     std::vector<std::size_t> through(story_.releases.size(), 0);
     std::vector<bool> dropped(story_.releases.size(), false), less(dropped);
     for (const Activation& a : story_.activations)
-      if (const auto at = published_.find(a.sequence); at != published_.end() && a.off())
+      if (const auto at = published_.find(a.sequence); at != published_.end() && a.left_out())
         less[at->second] = true;
     for (const Activation& a : story_.activations) {
       const auto at = published_.find(a.sequence);
@@ -398,10 +398,10 @@ class Reader {
       ReleaseSpan& release = story_.releases[at->second];
       const bool sink = modules_[static_cast<std::size_t>(a.module)].sink;
       // Where a module is off, one before it may be the last.
-      if (!a.off() && (sink || less[at->second]))
+      if (!a.left_out() && (sink || less[at->second]))
         release.end_ns = std::max(release.end_ns, a.end_ns);
       if (!sink) continue;
-      dropped[at->second] = dropped[at->second] || (a.fate == Fate::kDropped && !a.off());
+      dropped[at->second] = dropped[at->second] || (a.fate == Fate::kDropped && !a.left_out());
       if (++through[at->second] == sinks)
         release.fate = dropped[at->second] ? Fate::kDropped : Fate::kDone;
     }
@@ -478,8 +478,8 @@ const char* to_string(PhaseKind kind) {
   return "?";
 }
 
-bool Activation::off() const {
-  return fate == Fate::kDropped && reason == XAUTO_DROP_OFF;
+bool Activation::left_out() const {
+  return fate == Fate::kDropped && (reason == XAUTO_DROP_OFF || reason == XAUTO_DROP_SKIPPED);
 }
 
 const char* drop_reason(std::uint32_t reason) {
@@ -496,6 +496,8 @@ const char* drop_reason(std::uint32_t reason) {
       return "the module's process died";
     case XAUTO_DROP_OFF:
       return "the module is off";
+    case XAUTO_DROP_SKIPPED:
+      return "a module skipped it, as it was told";
     default:
       return "for an unknown reason";
   }

@@ -66,8 +66,8 @@ struct Activation {
   std::int64_t begin_ns = 0, end_ns = 0;
   Fate fate = Fate::kUnknown;  ///< unknown: its end is not in the trace
   std::uint32_t reason = 0;    ///< XAUTO_DROP_*
-  /// Its release's table has the module off: nothing was lost.
-  [[nodiscard]] bool off() const;
+  /// Its release's table has the module off, or it was skipped as was told: nothing was lost.
+  [[nodiscard]] bool left_out() const;
   std::vector<Take> takes = {};
   std::vector<SampleRead> samples = {};
   /// Of an app of version 2: the nominal release that keys and holds count from; 0: unknown.

@@ -41,8 +41,8 @@ class Backend {
   /// The execution thread does the work itself, and Linux preempts it unseen.
   [[nodiscard]] virtual bool on_thread() const { return false; }
   /// What is suspended shall stay so: called at least every again_ms(). A backend whose device has a
-  /// watchdog feeds it; one whose driver may resume by itself suspends again. kTimeout: it was too
-  /// late, everything runs again.
+  /// watchdog feeds it; one whose driver may resume by itself suspends again. An error: it has run
+  /// meanwhile; kTimeout: the watchdog was fed too late, and it is suspended again.
   [[nodiscard]] virtual Status still_wanted() { return {}; }
   /// Less than 0: it need not be called. Asked after each call of one of these.
   [[nodiscard]] virtual int again_ms(bool suspended) { return suspended ? kStillWantedMs : -1; }

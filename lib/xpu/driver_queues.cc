@@ -112,7 +112,11 @@ class DriverQueues final : public Backend {
 
   Status still_wanted() override {
     const Guard lock(mutex_);
-    return door_->still_wanted();
+    Status wanted = door_->still_wanted();
+    if (wanted || wanted.error().code != ErrorCode::kTimeout) return wanted;
+    for (const auto& [value, context] : contexts_)
+      if (context.suspended) XAUTO_TRY(door_->suspend(handles(context)));
+    return wanted;
   }
 
   int again_ms(bool suspended) override {

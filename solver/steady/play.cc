@@ -22,27 +22,66 @@ using Atoms = std::int64_t;
 constexpr std::size_t kMaxPaths = 10'000;
 constexpr std::int64_t kMaxUnfinished = 1'000'000;
 
-/// Real time of a clock's grid. Its rate changes every second, at random.
+/// Real time of a clock's grid. For the first half of the play its rate stays at least half of the ppm off,
+/// as that of a real clock does, so that phases come round. Then come stretches in which it stays, is as far
+/// off as it may be, bends, or changes every second.
 class Clock {
  public:
-  Clock(Atoms phase, std::int64_t ppm, std::int64_t scale, std::uint64_t seed)
-      : ppm_(ppm), second_(kMillion * scale), random_(seed), begins_{phase} {}
+  Clock(Atoms phase, std::int64_t ppm, bool fast, const PlayOptions& options, std::int64_t scale,
+        std::uint64_t seed)
+      : ppm_(ppm),
+        stays_(static_cast<std::size_t>(options.seconds / 2)),
+        longest_(std::max<std::int64_t>(1, std::min(options.seconds / 8, kLongestStretch))),
+        second_(kMillion * scale),
+        random_(seed),
+        begins_{phase} {
+    const std::int64_t off = random_.below(2) == 0 ? ppm : ppm - draw(ppm / 2);
+    from_ = to_ = fast ? off : -off;
+  }
 
   Atoms real(std::int64_t grid) {
     const auto s = static_cast<std::size_t>(grid / second_);
     while (rates_.size() <= s) {
-      const std::int64_t spread = 2 * ppm_ + 1;
-      rates_.push_back(
-          kMillion - ppm_ +
-          static_cast<std::int64_t>(random_.below(static_cast<std::uint64_t>(spread))));
+      rates_.push_back(kMillion + next());
       begins_.push_back(begins_.back() + second_ * rates_.back());
     }
     return begins_[s] + grid % second_ * rates_[s];
   }
 
  private:
-  std::int64_t ppm_, second_;
+  static constexpr std::int64_t kLongestStretch = 10'000;  ///< seconds
+
+  /// 0 to `most`.
+  std::int64_t draw(std::int64_t most) {
+    return static_cast<std::int64_t>(random_.below(static_cast<std::uint64_t>(most) + 1));
+  }
+  std::int64_t any() { return draw(2 * ppm_) - ppm_; }
+
+  /// How many ppm it is off in the next second.
+  std::int64_t next() {
+    if (rates_.size() < stays_) return to_;
+    if (at_ == length_) turn();
+    ++at_;
+    return restless_ ? any() : from_ + (to_ - from_) * at_ / length_;
+  }
+
+  void turn() {
+    at_ = 0;
+    length_ = 1 + draw(longest_ - 1);
+    from_ = to_;
+    const std::uint64_t kind = random_.below(4);
+    restless_ = kind == 0;
+    to_ = kind == 1 ? (draw(1) == 0 ? ppm_ : -ppm_) : any();
+    if (kind != 3) from_ = to_;
+  }
+
+  std::int64_t ppm_;
+  std::size_t stays_;     ///< seconds
+  std::int64_t longest_;  ///< stretch, in seconds
+  std::int64_t second_;
   Random random_;
+  std::int64_t from_ = 0, to_ = 0, at_ = 0, length_ = 0;  ///< of the stretch
+  bool restless_ = false;
   std::vector<Atoms> begins_;  ///< of each second
   std::vector<std::int64_t> rates_;
 };
@@ -66,12 +105,12 @@ class Play {
   Play(const World& w, const PlayOptions& options)
       : w_(w), options_(options), random_(options.seed) {
     const std::size_t n = w.wcet.size();
-    Ticks longest = 1;
-    for (const Component& c : w.components) longest = std::max(longest, c.period);
     for (std::size_t c = 0; c < w.app.clocks.size(); ++c) {
       const double phase = options.phases && c > 0 ? random_.unit() : 0;
-      clocks_.emplace_back(static_cast<Atoms>(phase * static_cast<double>(longest)) * kMillion,
-                           options.phases ? w.app.clocks[c].ppm : 0, w.scale, random_.next());
+      clocks_.emplace_back(
+          static_cast<Atoms>(phase * static_cast<double>(pattern_of(static_cast<int>(c)))) *
+              kMillion,
+          options.phases ? w.app.clocks[c].ppm : 0, c % 2 == 1, options, w.scale, random_.next());
     }
     urgent_.resize(w.components.size());
     jobs_.resize(n);
@@ -174,6 +213,17 @@ class Play {
     Atoms since = 0, used = 0;
     std::uint32_t stamp = 0;
   };
+
+  /// After which the clock's releases repeat, or a quarter of the play; at least the longest period of all.
+  [[nodiscard]] Ticks pattern_of(int clock) const {
+    const Ticks quarter = options_.seconds * (kMillion / 4) * w_.scale;
+    Ticks longest = 1, all = 1;
+    for (const Component& c : w_.components) {
+      longest = std::max(longest, c.period);
+      if (c.clock == clock && all > 0) all = checking::lcm(all, c.period);
+    }
+    return std::max(longest, all == 0 ? quarter : std::min(all, quarter));
+  }
 
   Status extend(int c, const std::vector<int>& enters, std::vector<char>& visited, Path& path) {
     visited[at(c)] = 1;

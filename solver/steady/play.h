@@ -26,7 +26,8 @@ struct PlayOptions {
   std::int64_t seconds = 10;
   bool random_times = false;  ///< up to the WCET; otherwise each job takes it
   bool jitter = false;        ///< random, up to each source's; otherwise none
-  bool phases = false;        ///< between clocks, and their drift, random; otherwise none
+  bool phases =
+      false;  ///< between clocks random, and they drift as far as they may; otherwise none
   std::uint64_t seed = 1;
   /// [xnode] Whoever has less goes first, whatever the keys say; of equal ones whoever was ready
   /// first. To play other rules beside keys. Empty: keys.

@@ -134,7 +134,8 @@ def test_golden_files_and_examples_are_valid():
 # What only a program can see: what holds between values, or bytes that a parser of JSON does not show.
 BEYOND = {
     "app": {"cycle", "duplicate-key", "edge-self", "edge-twice", "edge-unknown-xnode", "memory-of-no-implementation",
-            "source-behind-an-edge", "source-heard-twice", "source-name-twice", "source-unknown", "xnode-name-twice"},
+            "source-behind-an-edge", "source-heard-twice", "source-name-twice", "source-unknown", "typical-above-wcet",
+            "typical-of-no-implementation", "xnode-name-twice"},
     "platform": {"duplicate-key", "id-twice"},
     "profile": {"beside-does-not-ascend", "edge-unknown-xnode", "reading-out-of-its-range", "reading-twice",
                 "source-behind-an-edge", "source-name-twice", "statistics-do-not-ascend", "xnode-twice"},

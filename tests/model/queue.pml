@@ -66,8 +66,9 @@ typedef Owner {
 	bool alive; byte ref; byte sock; bool mortal;
 	bool lock;
 	bool in_table; byte n_votes; bool dead;	/* in_table: the claim is in its table of handles */
-	bool c_alive; byte c_ref; byte c_q; bool vote; bool ended; bool final; bool done;	/* struct xauto_claim, of which there is one */
+	bool c_alive; byte c_ref; byte c_q; bool vote; bool ended; bool bitten; bool final; bool done;	/* struct xauto_claim, of which there is one */
 	bool pending; bool ending;		/* its work item is queued, runs */
+	bool promised;				/* a SUSPEND was answered so, and the owner and its watchdog have let it be since */
 	bool reap;				/* the work item is queued or runs */
 	bool due; bool biting; bool cancelled;	/* the watchdog's: pending, running, cancel_delayed_work_sync() was called */
 };
@@ -255,6 +256,13 @@ inline suspend_q(i, ok)
 #define RUN 0
 #define SUSPENDED 1
 #define NOTHING 2
+#define OLD 3	/* to run, unless it has voted since the watchdog bit */
+
+#ifdef BROKEN_OLD_AND_YOUNG
+#define WANTS_END(o, wish) (wish != SUSPENDED)
+#else
+#define WANTS_END(o, wish) (wish != SUSPENDED && (wish != OLD || own[o].bitten))
+#endif
 
 /* xauto_queue_want(); @ok: it is suspended as wanted */
 inline want_q(o, i, wish)
@@ -267,6 +275,7 @@ inline want_q(o, i, wish)
 		:: wish == SUSPENDED && (own[o].ended || !q[i].file) /* -ENOENT, -ENODEV */
 		:: wish == SUSPENDED && !own[o].ended && q[i].file ->
 			suspend_q(i, ok);
+			own[o].bitten = own[o].bitten && !ok;
 			if
 			:: ok && !own[o].vote -> own[o].vote = true; own[o].n_votes++;
 #ifdef BROKEN_VOTES_OVERWRITTEN
@@ -276,15 +285,17 @@ inline want_q(o, i, wish)
 #endif
 			:: else
 			fi
-		:: wish != SUSPENDED && own[o].vote ->
+		:: WANTS_END(o, wish) && own[o].vote ->
+			assert(wish != OLD || !own[o].promised);
 			own[o].vote = false;
+			own[o].bitten = false; own[o].promised = false; /* say nothing without a vote */
 			own[o].n_votes--;
 			q[i].votes--;
 			if
 			:: q[i].file && !q[i].votes && q[i].suspended -> resume_q(i)
 			:: else
 			fi
-		:: wish != SUSPENDED && !own[o].vote
+		:: wish != SUSPENDED && !(WANTS_END(o, wish) && own[o].vote)
 		fi;
 		if
 		:: wish == NOTHING -> own[o].ended = true
@@ -458,7 +469,7 @@ inline add_claim(o, i)
 		if
 		:: !own[o].c_alive && !own[o].dead ->
 			own[o].in_table = true; own[o].c_alive = true; own[o].c_ref = 1; own[o].c_q = i; own[o].ref++;
-			own[o].ended = false; own[o].final = false; own[o].done = false;
+			own[o].ended = false; own[o].bitten = false; own[o].final = false; own[o].done = false;
 			ok = true
 		:: else -> ok = false
 		fi;
@@ -522,10 +533,12 @@ inline act_suspend(o)
 		want_q(o, i, SUSPENDED);
 		if
 		:: ok ->
-			SECTION { /* xauto_owner_start_watchdog() */
+			SECTION { /* xauto_owner_answer_for() */
 				lock_o(o);
+				own[o].promised = own[o].vote && !own[o].bitten;
 				if
-				:: own[o].n_votes > 0 && !own[o].dead && HAS_WATCHDOG(o) -> own[o].due = true
+				:: own[o].bitten
+				:: !own[o].bitten && own[o].n_votes > 0 && !own[o].dead && HAS_WATCHDOG(o) -> own[o].due = true
 				:: else
 				fi;
 				unlock_o(o)
@@ -577,7 +590,7 @@ end:	do
 	:: atomic { own[o].pending -> own[o].pending = false; own[o].ending = true; is_final = own[o].final; i = own[o].c_q }
 		if
 		:: is_final -> want_q(o, i, NOTHING)
-		:: else -> want_q(o, i, RUN)
+		:: else -> want_q(o, i, OLD)
 		fi;
 		atomic {
 			if
@@ -620,7 +633,7 @@ end:	do
 			if
 			:: own[o].n_votes == 0
 			:: own[o].n_votes > 0 -> own[o].due = !own[o].cancelled /* fed */
-			:: own[o].n_votes > 0 && own[o].in_table -> claim_queue_end(o, false)
+			:: own[o].n_votes > 0 && own[o].in_table -> own[o].bitten = true; own[o].promised = false; claim_queue_end(o, false)
 			fi;
 			unlock_o(o);
 			own[o].biting = false

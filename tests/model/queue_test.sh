@@ -66,6 +66,7 @@ refuted broken_no_orphan_reference 'q[i].ref>0' -DHANDLERS=1 -DBROKEN_NO_ORPHAN
 refuted broken_votes_overwritten 'q[i].votes==' -DBRIEF -DWATCHDOGS=0 -DBROKEN_VOTES_OVERWRITTEN "${no_refusals[@]}"
 refuted broken_port_is_owner 'own[o].sock==s' -DBRIEF -DREUSE -DBROKEN_PORT_IS_OWNER
 refuted broken_sweeper_armed_late 'sweep_due' -DSOCKETS=1 -DBRIEF -DWATCHDOGS=0 -DBROKEN_SWEEP_ARMED_LATE -DSUSPEND_REFUSALS=0
+refuted broken_old_and_young '!(own[o].promised)' -DHANDLERS=1 -DBROKEN_OLD_AND_YOUNG "${no_refusals[@]}"
 if [ "${2:-}" = deep ]; then
   holds deep_two_owners -DSUSPEND_REFUSALS=0
   holds deep_two_owners_target -DBRIEF -DTARGET

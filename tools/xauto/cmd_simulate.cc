@@ -106,7 +106,8 @@ void add_simulate(Commands& commands) {
   verb.flag("--jitter", flags->play.jitter,
             "version 2: each source as late as it may be, at random");
   verb.flag("--phases", flags->play.phases,
-            "version 2: between clocks, and their drift, at random");
+            "version 2: between clocks at random, and clocks drift: constantly, at the ends of "
+            "their ppm, bending");
   verb.flag("--urgent", flags->play.urgent,
             "version 2: releases that may be urgent are, or are not, at random");
   verb.option("--seed", flags->play.seed, "version 2: of all that is random").shown();

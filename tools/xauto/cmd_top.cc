@@ -178,6 +178,7 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
          {"dropped", module.dropped},
          {"failed", module.failed},
          {"off", module.off},
+         {"skipped", module.skipped},
          {"deaths", module.deaths}});
   }
   j["xpus"] = Json::array();

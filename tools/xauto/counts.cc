@@ -205,7 +205,7 @@ Counts counts_of(const runtime::Board& board) {
     const runtime::ModuleLine& line = board.module(static_cast<int>(m));
     counts.modules.push_back({runtime::line_name(line.name), line.activations.load(),
                               line.failed.load(), line.dropped.load(), line.deaths.load(),
-                              line.off.load()});
+                              line.off.load(), line.skipped.load()});
   }
   counts.whole = flow_of(board.flow(0));
   for (std::uint32_t f = 1; f < shape.flows; ++f) {

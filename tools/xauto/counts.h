@@ -16,8 +16,9 @@ namespace xauto::cli {
 struct ModuleCounts {
   std::string name;
   std::uint64_t activations = 0, failed = 0, dropped = 0;
-  std::uint32_t deaths = 0;  ///< of its process
-  std::uint64_t off = 0;     ///< releases in whose table it is off
+  std::uint32_t deaths = 0;   ///< of its process
+  std::uint64_t off = 0;      ///< releases in whose table it is off
+  std::uint64_t skipped = 0;  ///< as it was told, or a module before it
 };
 
 /// A chain, or the app as a whole.

@@ -232,6 +232,9 @@ void add_metrics_of(Page& page, const RunLook& look) {
                  module.dropped);
     page.counter("xauto_module_off_total", "Releases in whose table the module is off.", labels,
                  module.off);
+    page.counter("xauto_module_skips_total",
+                 "Releases that it, or a module before it, skipped as it was told.", labels,
+                 module.skipped);
     page.counter("xauto_module_process_deaths_total", "Deaths of the module's process.", labels,
                  module.deaths);
   }

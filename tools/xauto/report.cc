@@ -154,11 +154,16 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
 
 std::string losses_of(const PolicyRun& run) {
   std::string out;
-  for (const runtime::ModuleReport& m : run.report.modules)
+  for (const runtime::ModuleReport& m : run.report.modules) {
     if (m.failed + m.dropped + m.unended > 0)
       out += fmt::format("  {}: XModule {}: {} activations done, {} dropped, {} failed{}\n",
                          run.name, m.name, m.activations, m.dropped, m.failed,
                          m.unended > 0 ? fmt::format(", {} did not end", m.unended) : "");
+    if (m.skipped > 0)
+      out += fmt::format(
+          "  {}: XModule {}: {} activations done, {} skipped as `overload: skip` says\n", run.name,
+          m.name, m.activations, m.skipped);
+  }
   return out;
 }
 
@@ -397,6 +402,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                     {"failed", m.failed},
                     {"dropped", m.dropped}};
       if (m.off > 0) entry["off"] = m.off;
+      if (m.skipped > 0) entry["skipped"] = m.skipped;
       if (m.unended > 0) entry["unended"] = m.unended;
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);

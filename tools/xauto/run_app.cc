@@ -74,6 +74,19 @@ void RunFlags::declare(Verb verb) {
       .range(std::int64_t{1}, std::int64_t{3'600'000'000});
   verb.option("--input", input, "recorded input to replay instead of the app's own messages");
   verb.flag("--lockstep", lockstep, "release the next message when the last one has drained");
+  verb.option("--rate", input_rate, "of --input: replay it so much faster than it was recorded")
+      .range(0.001, 1000.0)
+      .needs("--input")
+      .excludes("--lockstep")
+      .excludes("--period-us");
+  verb.option(
+          "--max-gap", input_max_gap_s,
+          "of --input: wait no longer than so many seconds between two of its messages, as where a "
+          "clock was set while it was recorded")
+      .range(0.001, 31'536'000.0)
+      .needs("--input")
+      .excludes("--lockstep")
+      .excludes("--period-us");
   verb.option("--cpu-sched", cpu_sched,
               "threads of CPU XNodes on real cores: ext (sched_ext, else fifo), fifo or other")
       .one_of({"ext", "fifo", "other"})
@@ -222,6 +235,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.lockstep = flags.lockstep;
   session.period_us = flags.period_us;
   session.input = flags.input;
+  session.input_rate = flags.input_rate;
+  session.input_max_gap_us = static_cast<std::int64_t>(std::llround(flags.input_max_gap_s * 1e6));
   session.record = flags.record_path;
   session.record_outputs = flags.record_outputs;
   session.deployment = flags.deployment;

@@ -43,6 +43,7 @@ struct RunFlags {
   bool record_outputs = false;
   std::uint64_t activations = 200;
   double seconds = 0;  ///< 0: `activations` counts
+  double input_rate = 1, input_max_gap_s = 0;
   std::int64_t period_us = 0, cpu_budget_pct = 0;
   bool lockstep = false, isolate = false, emulator_modules = false;
   EmulationOptions emulation;

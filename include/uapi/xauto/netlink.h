@@ -38,7 +38,8 @@
  *     Sets the owner's watchdog, %XAUTO_WATCHDOG_MIN_MS..%XAUTO_WATCHDOG_MAX_MS; without
  *     TIMEOUT_MS it only feeds it. Every command feeds it too. It bites only while this owner has
  *     something suspended. An owner starts with %XAUTO_WATCHDOG_DEFAULT_MS. 0, no watchdog, needs
- *     CAP_SYS_NICE. Once it has bitten, the next such command answers ETIMEDOUT.
+ *     CAP_SYS_NICE. Once it has bitten, the next such command answers ETIMEDOUT: what the owner had
+ *     suspended runs, or will in a moment. What it suspends from then on, asked or not, stays so.
  *
  * XAUTO_CMD_GET         HANDLE
  *                       ->  one queue, with TIMESLICE_US as the driver says it now (GPU)
@@ -52,8 +53,8 @@
  *
  * XAUTO_CMD_EVENT       multicast to the group %XAUTO_MCGRP_EVENTS
  *     EVENT, QUEUE, TYPE, PID, PORTID, TIME_NS, COST_NS, ERRNO; no QUEUE and no TYPE where the
- *     event is an owner's; ESCAPES with XAUTO_KEV_ESCAPED. Needs CAP_NET_ADMIN to join where the
- *     kernel can ask for it.
+ *     event is an owner's; ESCAPES with XAUTO_KEV_ESCAPED. Needs CAP_NET_ADMIN to join; a kernel
+ *     that cannot ask for it (before 5.10.204, and 5.11) has no such group.
  *
  * A context that does not leave
  * --------
@@ -67,8 +68,9 @@
  * ----------
  * The file must have been opened by the caller's effective user, or the caller needs CAP_SYS_NICE
  * in the user namespace of the one who opened it. The family lives in the initial network
- * namespace. One user has at most %XAUTO_MAX_USER_OWNERS owners, and the last
- * %XAUTO_RESERVED_OWNERS of the machine's are for those with CAP_SYS_NICE.
+ * namespace. One user has at most %XAUTO_MAX_USER_OWNERS owners, those in user namespaces of the
+ * user's making included, and the last %XAUTO_RESERVED_OWNERS of the machine's are for those with
+ * CAP_SYS_NICE.
  *
  * Errors, with a text in the extended acknowledgment
  * ------
@@ -86,6 +88,7 @@
  * ESHUTDOWN   the module is being unloaded
  * EOPNOTSUPP  a DLA queue has neither time slice nor interleave level
  * ETIMEDOUT   the GPU did not leave the queue in time (it runs again), or the watchdog had expired
+ *             (WATCHDOG), or it did while a SUSPEND waited for the driver (it runs again)
  * others      what the driver answered
  *
  * Rules: append attributes and commands, never renumber; unknown attributes are refused.

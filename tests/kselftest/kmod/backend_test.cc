@@ -298,6 +298,26 @@ void one_dla_queue() {
             "neither is suspended then, for that would hold up the other");
 }
 
+/// Whoever feeds it was away for longer than the watchdog allows.
+void starved() {
+  xauto::ContextCounts counts;
+  make_backend = xauto::xpu::make_kernel_queue;
+  const auto backend = gpu(counts);
+  int context = 0;
+  const SchedHandle handle = SchedHandle::cuda_context(&context);
+  Tsg compute;
+  ktap_test(init(*backend, handle, [&] { compute.open(); }).has_value() &&
+                backend->preempt(handle).has_value() && guest::suspended() == 1 &&
+                guest::eventually([] { return guest::suspended() == 0; }),
+            "what was suspended runs when its watchdog has bitten");
+  const auto fed = backend->still_wanted();
+  ktap_test(!fed && fed.error().code == xauto::ErrorCode::kTimeout && guest::suspended() == 1,
+            "who feeds it then is told so, and suspends it again");
+  ktap_test(backend->still_wanted().has_value() && backend->restore(handle).has_value() &&
+                guest::suspended() == 0,
+            "once");
+}
+
 /// Two TSGs, told through one call or through several.
 void whole() {
   xauto::ContextCounts counts;
@@ -333,7 +353,7 @@ void whole() {
 int main() {
   const std::pair<const char*, decltype(make_backend)> ways[] = {
       {"xauto.ko", xauto::xpu::make_kernel_queue}, {"own", xauto::xpu::make_own_queue}};
-  ktap_plan(76);
+  ktap_plan(79);
   for (const auto& [name, make] : ways) {
     ktap_note("%s", name);
     make_backend = make;
@@ -343,5 +363,6 @@ int main() {
       (void)xauto::make_context([] { return SchedHandle(); });  // sees that all were closed
     }
   }
+  starved();
   return ktap_exit();
 }

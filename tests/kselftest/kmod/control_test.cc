@@ -305,6 +305,8 @@ void permissions() {
                 return has(text_of(other->set_watchdog(0)), "CAP_SYS_NICE") ? 0 : 1;
               }) == 0,
       "going without a watchdog is not for everybody");
+  ktap_test(as_user(1000, [] { return QueueEvents::subscribe() ? 1 : 0; }) == 0,
+            "nor are the events, which tell of all");
 }
 
 void other_process() {
@@ -358,7 +360,9 @@ void other_process() {
 /// A dump read by hand, a part at a time; what the class reads is bigger and faster.
 class Dump {
  public:
-  explicit Dump(int family) : fd_(socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_GENERIC)) {
+  explicit Dump(xauto::UniqueFd asked) : fd_(std::move(asked)) {}
+  explicit Dump(int family, bool addressed = false)
+      : fd_(socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_GENERIC)) {
     struct {
       nlmsghdr header;
       genlmsghdr generic;
@@ -368,8 +372,13 @@ class Dump {
     request.header.nlmsg_flags = NLM_F_REQUEST | NLM_F_DUMP;
     request.generic.cmd = XAUTO_CMD_GET;
     request.generic.version = XAUTO_FAMILY_VERSION;
-    if (send(fd_.get(), &request, sizeof request, 0) < 0) ktap_bail("no dump");
+    sockaddr_nl kernel{};
+    kernel.nl_family = AF_NETLINK;
+    if (sendto(fd_.get(), &request, sizeof request, 0, reinterpret_cast<sockaddr*>(&kernel),
+               addressed ? sizeof kernel : 0) < 0)
+      ktap_bail("no dump");
   }
+  [[nodiscard]] int descriptor() const { return fd_.get(); }
   /// The next part; false at the end.
   bool part() {
     alignas(nlmsghdr) std::array<char, 4096> buffer;
@@ -391,6 +400,55 @@ class Dump {
  private:
   xauto::UniqueFd fd_;
 };
+
+/// A user asks for a dump longer than one part, and gives the socket to who may more.
+void read_by_root() {
+  constexpr int kQueues = 60;
+  for (const bool addressed : {false, true}) {
+    int there[2], asked[2];
+    if (pipe(there) != 0 || pipe(asked) != 0) ktap_bail("pipe");
+    const pid_t user = fork();
+    if (user == 0) {
+      if (setgid(1000) != 0 || setuid(1000) != 0) _exit(9);
+      QueueControl c = control();
+      std::vector<xauto::UniqueFd> files;
+      for (int i = 0; i < kQueues; ++i) {
+        files.emplace_back(open("/dev/nvgpu/igpu0/tsg", O_RDWR | O_CLOEXEC));
+        if (!c.register_queue(QueueType::kGpuTsg, files.back().get())) _exit(8);
+      }
+      char byte = 0;
+      (void)!write(asked[1], &byte, 1);
+      (void)!read(there[0], &byte, 1);  // root has queues behind them by now
+      const Dump dump(c.family(), addressed);
+      const int descriptor = dump.descriptor();
+      (void)!write(asked[1], &descriptor, sizeof descriptor);
+      pause();
+    }
+    char byte = 0;
+    (void)!read(asked[0], &byte, 1);
+    QueueControl c = control();
+    std::vector<DriverQueue> own;
+    for (int i = 0; i < 10; ++i) {
+      own.push_back(gpu());
+      (void)registered(c, own.back(), QueueType::kGpuTsg);
+    }
+    (void)!write(there[1], &byte, 1);
+    int descriptor = -1;
+    (void)!read(asked[0], &descriptor, sizeof descriptor);
+    auto fd = xauto::kernel::take_descriptor(user, descriptor);
+    if (!fd) ktap_bail("%s", fd.error().to_string().c_str());
+    Dump dump(std::move(*fd));
+    while (dump.part()) {
+    }
+    ktap_test(
+        dump.parts > 2 && dump.queues == kQueues,
+        "a dump that a user asked for%s tells root, who reads it, the user's queues (%d of %d)",
+        addressed ? " by address" : "", dump.queues, kQueues);
+    kill(user, SIGKILL);
+    waitpid(user, nullptr, 0);
+    for (const int each : {there[0], there[1], asked[0], asked[1]}) close(each);
+  }
+}
 
 void dumps() {
   constexpr std::size_t kQueues = 120;  // many times what fits into one part
@@ -479,7 +537,7 @@ void unload() {
 }  // namespace
 
 int main() {
-  ktap_plan(75);
+  ktap_plan(78);
   refusals();
   ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
             "nothing is left suspended by the refusals");
@@ -491,6 +549,7 @@ int main() {
   permissions();
   other_process();
   dumps();
+  read_by_root();
   unload();
   return ktap_exit();
 }

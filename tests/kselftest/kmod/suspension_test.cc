@@ -3,12 +3,18 @@
 // needed it off, nvdla forgets with the queue or the power, and a context may not leave its engine.
 // What must happen is told by order, not by time: something is so again while something else that
 // takes long still goes on.
+#include <algorithm>
 #include <csignal>
 #include <functional>
+#include <thread>
 #include <vector>
 
+#include <linux/genetlink.h>
+#include <sched.h>
 #include <sys/eventfd.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
 #include <sys/wait.h>
 
 #include "emu/driver_queue.h"
@@ -443,6 +449,50 @@ void release_35() {
   reload("");
 }
 
+/// The user ids of a user namespace are not its user's. Returns how many owners three of them have.
+int owners_in_a_namespace(uid_t user) {
+  int ready[2], mapped[2], made[2];
+  if (pipe(ready) != 0 || pipe(mapped) != 0 || pipe(made) != 0) ktap_bail("pipe");
+  const pid_t container = child([&] {
+    if (setgid(user) != 0 || setuid(user) != 0 || unshare(CLONE_NEWUSER) != 0) _exit(9);
+    char byte = 0;
+    (void)!write(ready[1], &byte, 1);
+    (void)!read(mapped[0], &byte, 1);
+    for (uid_t inside = 1; inside <= 3; ++inside)
+      child([&] {
+        if (setuid(inside) != 0 || prctl(PR_SET_PDEATHSIG, SIGKILL) != 0) _exit(9);
+        const UniqueFd tsg = raw::node("/dev/nvgpu/igpu0/tsg");
+        std::vector<QueueControl> owners;
+        for (;;) {
+          auto c = QueueControl::open();
+          if (!c || !c->register_queue(QueueType::kGpuTsg, tsg.get())) break;
+          (void)c->set_watchdog(60000);
+          owners.push_back(std::move(*c));
+        }
+        const auto count = static_cast<int>(owners.size());
+        (void)!write(made[1], &count, sizeof count);
+        pause();
+      });
+    pause();
+  });
+  char byte = 0;
+  (void)!read(ready[0], &byte, 1);
+  for (const char* map : {"uid_map", "gid_map"})
+    guest::write("/proc/" + std::to_string(container) + "/" + map, "0 100000 65536");
+  (void)!write(mapped[1], &byte, 1);
+  int total = 0, most = 0;
+  for (int i = 0; i < 3; ++i) {
+    int count = 0;
+    (void)!read(made[0], &count, sizeof count);
+    total += count;
+    most = std::max(most, count);
+  }
+  if (most == 0) ktap_note("nobody in the namespace has an owner");
+  reap(container);
+  for (const int fd : {ready[0], ready[1], mapped[0], mapped[1], made[0], made[1]}) close(fd);
+  return total;
+}
+
 void fair_shares() {
   constexpr int kEach = 128, kAll = 1024, kReserve = 64;
   int ready[2], hold[2];
@@ -483,7 +533,75 @@ void fair_shares() {
   ktap_test(root.register_queue(QueueType::kGpuTsg, tsg.get()).has_value(),
             "which are for who has CAP_SYS_NICE");
   for (const pid_t user : users) reap(user);
+  ktap_test(eventually([&] { return root.list().value().size() == 1; }), "they leave");
+  const int inside = owners_in_a_namespace(1010);
+  ktap_test(inside == kEach, "all ids of a user namespace together have one user's share (%d)",
+            inside);
   for (const int fd : {ready[0], ready[1], hold[0], hold[1]}) close(fd);
+}
+
+/// What a netlink client says without this project's classes, and what it is answered.
+struct Said {
+  nlmsghdr header{};
+  genlmsghdr generic{};
+  nlattr attribute{};
+};
+struct SaidSuspend : Said {
+  nlattr op{NLA_HDRLEN + 16, 1 | NLA_F_NESTED}, action_is{8, XAUTO_OP_ACTION};
+  std::uint32_t action = XAUTO_ACTION_SUSPEND;
+  nlattr handle_is{8, XAUTO_OP_HANDLE};
+  std::uint32_t handle = 0;
+};
+struct SaidWatchdog : Said {
+  std::uint32_t timeout_ms = 60000;
+};
+template <class T>
+void say(QueueControl& c, T& message, std::uint8_t command, std::uint16_t attribute,
+         std::uint32_t number) {
+  message.header = {sizeof message, static_cast<std::uint16_t>(c.family()),
+                    NLM_F_REQUEST | NLM_F_ACK, number, 0};
+  message.generic = {command, XAUTO_FAMILY_VERSION, 0};
+  message.attribute = {sizeof message - NLMSG_HDRLEN - GENL_HDRLEN, attribute};
+  if (send(c.descriptor(), &message, sizeof message, 0) < 0) ktap_bail("nothing is said");
+}
+/// 0 or an errno.
+int answer(QueueControl& c, std::uint32_t number) {
+  for (;;) {
+    alignas(nlmsghdr) char buffer[4096];
+    if (recv(c.descriptor(), buffer, sizeof buffer, 0) < 0) ktap_bail("no answer");
+    const auto* header = reinterpret_cast<const nlmsghdr*>(buffer);
+    if (header->nlmsg_seq == number)
+      return -static_cast<const nlmsgerr*>(NLMSG_DATA(header))->error;
+  }
+}
+
+/// The watchdog bites while a suspend is in the driver: the end of the older vote waits behind it.
+void younger_than_the_bite() {
+  const UniqueFd dla = raw::dla();
+  (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  QueueControl sleepy = control(), other = control();
+  const auto handle = registered(sleepy, QueueType::kDla, dla);
+  const auto second = registered(other, QueueType::kDla, dla);
+  (void)sleepy.suspend(handle);
+  auto events = QueueEvents::subscribe();
+  raw::dla_parameter("command_us", "1000000");
+  (void)sleepy.set_watchdog(100);
+  std::thread wakes([&] {
+    SaidSuspend suspend;
+    suspend.handle = handle;
+    say(sleepy, suspend, XAUTO_CMD_CONTROL, XAUTO_A_OPS | NLA_F_NESTED, 1);
+  });
+  const bool bit = eventually([&] { return !events_of(*events, XAUTO_KEV_WATCHDOG, 1).empty(); });
+  SaidWatchdog longer;  // else it bites once more, rightly, where this machine stalls
+  say(sleepy, longer, XAUTO_CMD_WATCHDOG, XAUTO_A_TIMEOUT_MS, 2);
+  wakes.join();
+  raw::dla_parameter("command_us", "50");
+  const int error = answer(sleepy, 1);
+  (void)other.suspend(second);  // behind what waited for the queue
+  const auto votes = info(other, second).votes;
+  ktap_test(bit && ((error == 0 && votes == 2) || (error == ETIMEDOUT && votes == 1)),
+            "a suspend after the bite holds if it is answered so (errno %d, %u votes)", error,
+            votes);
 }
 
 void undone() {
@@ -549,7 +667,7 @@ void unload_is_told() {
 }  // namespace
 
 int main() {
-  ktap_plan(52);
+  ktap_plan(55);
   escapes();
   repeated();
   dla_released();
@@ -559,6 +677,7 @@ int main() {
   devices();
   release_35();
   fair_shares();
+  younger_than_the_bite();
   undone();
   outlives_its_file();
   unload_is_told();

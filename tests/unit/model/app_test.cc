@@ -193,6 +193,28 @@ TEST(Profile, WhatInitAddedToTheMemoryIsToldByType) {
   EXPECT_EQ(without.hash(), app.hash()) << "a policy does not depend on it";
 }
 
+/// By type the longest median, whatever becomes the WCET.
+TEST(Profile, TheMedianIsTheTypicalTime) {
+  const Platform platform = Platform::builtin("small").value();
+  Profile profile;
+  profile.app = "a";
+  profile.xnodes = {{"x", "M", {{"cpu0", {200, 1, 2, 9, 90}}, {"cpu1", {200, 1, 3, 9, 9}}}}};
+  profile.xnodes[0].beside["gpu"]["cpu0"] = {200, 1, 4, 8, 9};
+  profile.xnodes[0].variants = {{"small", 50, {{"gpu0", {200, 0, 0, 8, 9}}}}};
+  for (const WcetFrom from : {WcetFrom::kMaxPlusMargin, WcetFrom::kP99, WcetFrom::kP50}) {
+    const AppSpec app = to_app(profile, platform, from).value();
+    EXPECT_EQ(app.xnodes[0].typical_us, (TypicalTimes{{"cpu", 4}}));
+    EXPECT_EQ(app.xnodes[0].variants[0].typical_us, (TypicalTimes{{"gpu", 1}}));
+    const auto read = parse_app(to_json(app), "app.json");
+    ASSERT_TRUE(read) << read.error().to_string();
+    EXPECT_EQ(*read, app);
+    AppSpec without = app;
+    without.xnodes[0].typical_us.clear();
+    without.xnodes[0].variants[0].typical_us.clear();
+    EXPECT_EQ(without.hash(), app.hash()) << "a policy does not depend on it";
+  }
+}
+
 TEST(Tables, TheMemoryOfAllInstancesCountsEachOnce) {
   const Platform platform = Platform::builtin("small").value();
   const int cpu0 = platform.find("cpu0"), cpu1 = platform.find("cpu1"),

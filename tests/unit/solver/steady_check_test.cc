@@ -516,6 +516,30 @@ TEST(SteadyPlay, WhatCannotKeepUpPilesUp) {
   EXPECT_GT(played->unfinished, 90'000);
 }
 
+/// A clock that is off for long meets every phase, so what is sampled just too late is seen: by each seed,
+/// whichever clock drifts, and by as little as half of the ppm.
+TEST(SteadyPlay, ClocksThatAreOffComeRound) {
+  for (const auto& [main_ppm, other_ppm] :
+       std::vector<std::pair<int, int>>{{0, 1000}, {1000, 0}, {500, 500}, {0, 100}, {20'000, 3}}) {
+    Case c = empty();
+    c.app.clocks[0].ppm = main_ppm;
+    c.app.clocks.push_back({"other", other_ppm});
+    xnode(c, source(c, 1000), 0, 100, {100});
+    xnode(c, source(c, 1000, 0, 0, 1), 1, 100, {100});
+    c.app.samples = {{0, 1}};
+    chain(c, 0, 1, 1300);
+    c.policy.app_hash = c.app.hash();
+    // In half of the play, at half of the ppm, the phase goes once round a period of 1 ms.
+    const std::int64_t seconds = 4 * 1000 / (main_ppm + other_ppm) + 2;
+    for (std::uint64_t seed = 1; seed <= 8; ++seed) {
+      const auto played = play(c.app, c.platform, c.policy, {seconds, false, false, true, seed});
+      ASSERT_TRUE(played) << played.error().to_string();
+      EXPECT_GT(played->chains[0].longest_us, main_ppm > 10'000 ? 1180 : 1198)
+          << main_ppm << " and " << other_ppm << " ppm, seed " << seed;
+    }
+  }
+}
+
 TEST(SteadyPlay, TheSameSeedPlaysTheSame) {
   auto c = attack::valid(8, kind(8));
   ASSERT_TRUE(c);
