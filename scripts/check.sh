@@ -93,7 +93,7 @@ areas() {
 style() {
   note "style"
   one "clang-format" bash -c 'scripts/sources.sh | xargs clang-format --dry-run -Werror'
-  one "codespell" bash -c 'git ls-files | grep -vE "\.(db3|json|png|svg|expected)$|^LICENSES/|corpus/" | xargs codespell -L te,ot,nd,inout,dout,fo,ans,ser,fpr,thre,hist,tha,lod,renderd,tre,siz,parm,rcd,lastr'
+  one "codespell" bash -c 'git ls-files | grep -vE "\.(db3|json|png|svg)$|^LICENSES/|corpus/" | xargs codespell -L te,ot,nd,inout,dout,fo,ans,ser,fpr,thre,hist,tha,lod,renderd,tre,siz,parm,rcd,lastr'
   one "SPDX lines" scripts/check-spdx.sh
   one "the kernel side's style" scripts/check-kernel-style.sh
   one "paths named in the docs exist" scripts/check-doc-paths.sh

@@ -150,8 +150,7 @@ int main(int argc, char** argv) {
   for (int i = 2; i < argc; ++i) {
     if (std::filesystem::is_directory(argv[i])) {
       for (const auto& entry : std::filesystem::directory_iterator(argv[i]))
-        if (entry.is_regular_file() && entry.path().extension() != ".expected")
-          files.push_back(entry.path());
+        if (entry.is_regular_file()) files.push_back(entry.path());
     } else {
       files.emplace_back(argv[i]);
     }

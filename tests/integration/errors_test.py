@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every malformed file of tests/golden/errors makes the tool exit with 2 and say what its .expected says."""
+"""Every malformed file of tests/golden/errors makes the tool exit with 2 and say what its case says."""
 import json
 import os
 import pathlib
 import resource
-import shutil
 import signal
-import sqlite3
 import subprocess
+import sys
 import tempfile
 import unittest
 
 from common import APP, DRIVING, SOURCE, XAUTO, wait_for, xauto
 
 GOLDEN = SOURCE / "tests/golden"
+sys.path.insert(0, str(GOLDEN / "errors"))
+from cases import cases  # noqa: E402
+
 COMMANDS = {
     "app": lambda f: ["simulate", "--model", "ros2", "--app", f],
     "app-2": lambda f: ["simulate", "--model", "ros2", "--app", f],
@@ -36,26 +38,14 @@ def wchan(pid):
 
 class Errors(unittest.TestCase):
     def refuse(self, kind):
-        cases = [f for f in sorted((GOLDEN / "errors" / kind).iterdir()) if f.suffix != ".expected"]
-        self.assertGreaterEqual(len(cases), 8)
+        self.assertGreaterEqual(len(cases(kind)), 8)
         with tempfile.TemporaryDirectory() as folder:
-            for case in cases:
+            for case in cases(kind):
                 with self.subTest(case=case.name):
-                    given = pathlib.Path(folder) / case.name
-                    if case.suffix == ".sql":
-                        given = given.with_suffix(".db3")
-                        database = sqlite3.connect(given)
-                        database.executescript(case.read_text())
-                        database.close()
-                    elif case.suffix == ".bin":
-                        given = given.with_suffix(".db3")
-                        shutil.copy(case, given)
-                    else:
-                        shutil.copy(case, given)
-                    result = xauto(*COMMANDS[kind](given.name), cwd=folder)
+                    case.write(folder)
+                    result = xauto(*COMMANDS[kind](case.file), cwd=folder)
                     self.assertEqual(result.returncode, 2, result.stderr)
-                    expected = case.with_suffix(".expected").read_text(errors="replace")
-                    self.assertEqual(result.stderr, "xauto: error: " + expected)
+                    self.assertEqual(result.stderr, "xauto: error: " + case.message)
                     self.assertEqual(result.stdout, "")
 
     def test_app(self):

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The malformed inputs under tests/golden/errors/<format>/ and the message each must give:
-// <case>.json (or .sql, .bin) beside <case>.expected. tests/golden/errors/README.md.
+// The malformed inputs of tests/golden/errors and the message each must give, as cases.py there has
+// written them into the build's folder: tests/golden/errors/README.md.
 #pragma once
 
 #include <algorithm>
@@ -27,20 +27,22 @@ inline std::string slurp(const std::filesystem::path& path) {
   return {std::istreambuf_iterator<char>(in), {}};
 }
 
-/// Files of tests/golden/errors/<format>, without the expectations, by name.
+inline std::filesystem::path made_cases() {
+  return std::filesystem::path(XAUTO_BINARY_DIR) / "tests/errors";
+}
+
+/// The malformed files of a format, by name.
 inline std::vector<std::filesystem::path> malformed(const std::string& format) {
   std::vector<std::filesystem::path> cases;
-  for (const auto& entry : std::filesystem::directory_iterator(golden() / "errors" / format))
-    if (entry.path().extension() != ".expected") cases.push_back(entry.path());
+  for (const auto& entry : std::filesystem::directory_iterator(made_cases() / format))
+    cases.push_back(entry.path());
   std::sort(cases.begin(), cases.end());
   return cases;
 }
 
-/// Compares with <case>.expected; XAUTO_UPDATE_GOLDEN=1 writes it instead (read the diff
-/// afterwards).
+/// Compares with the case's message; XAUTO_UPDATE_GOLDEN=1 writes it instead, for cases.py --update.
 inline void expect_message(const std::filesystem::path& input, const Error& error) {
-  std::filesystem::path expected = input;
-  expected.replace_extension(".expected");
+  const auto expected = made_cases() / "messages" / input.parent_path().filename() / input.stem();
   const std::string text = error.to_string() + "\n";
   if (std::getenv("XAUTO_UPDATE_GOLDEN") != nullptr) {
     std::ofstream(expected, std::ios::binary) << text;

@@ -277,33 +277,5 @@ TEST_F(RecordingTest, DamagedFilesAreRefusedOrReadToTheirEnd) {
   EXPECT_GT(refused, 50);
 }
 
-TEST_F(RecordingTest, EveryMalformedRecordingIsRefusedWithItsMessage) {
-  const auto cases = test::malformed("recording");
-  EXPECT_GE(cases.size(), 15u);
-  fs::current_path(folder_);
-  for (const auto& input : cases) {
-    const std::string database = input.stem().string() + ".db3";
-    if (input.extension() == ".sql")
-      run_sql(database, test::slurp(input));
-    else
-      fs::copy_file(input, database);
-    auto recording = Recording::open(database);
-    Status status;
-    if (!recording) status = tl::unexpected<Error>(recording.error());
-    while (status) {
-      const auto message = recording->next();
-      if (!message)
-        status = tl::unexpected<Error>(message.error());
-      else if (!*message)
-        break;
-    }
-    if (status)
-      ADD_FAILURE() << input << " is accepted";
-    else
-      test::expect_message(input, status.error());
-  }
-  fs::current_path("/");
-}
-
 }  // namespace
 }  // namespace xauto::record

@@ -1,6 +1,0 @@
--- no messages table
-CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
-INSERT INTO schema VALUES (3, '');
-CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
- serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
-INSERT INTO topics VALUES (1, '/camera', 'sensor_msgs/msg/Image', 'cdr', '[]');

@@ -1,2 +1,0 @@
--- no tables
-CREATE TABLE t(x);
