@@ -57,14 +57,13 @@ static __always_inline struct task_group *task_group_of(struct cgroup *group)
 	return css ? (struct task_group *)(css - bpf_core_field_offset(struct task_group, css)) : NULL;
 }
 
-/* Charges it for `ran` and ends its period if it is over. Returns when it may run again; 0: now. */
+/* Ends its period if it is over, and charges it for `ran` in the present one. Returns when it may run again; 0: now. */
 static __always_inline u64 spent_until(struct group_use *use, u64 quota, u64 period, u64 ran, u64 now)
 {
 	u64 since, ended, paid, used;
 
 	if (!use->since_ns)
 		__sync_val_compare_and_swap(&use->since_ns, 0, now);
-	__sync_fetch_and_add(&use->used_ns, ran);
 	since = use->since_ns;
 	if (now > since && now - since >= period) {
 		ended = (now - since) / period;
@@ -75,7 +74,7 @@ static __always_inline u64 spent_until(struct group_use *use, u64 quota, u64 per
 			__sync_fetch_and_add(&use->used_ns, -(paid < used ? paid : used));
 		}
 	}
-	used = use->used_ns;
+	used = __sync_fetch_and_add(&use->used_ns, ran) + ran;
 	return used < quota ? 0 : use->since_ns + used / quota * period;
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The scheduler beside what else a machine does: namespaces, CPUs that go and come, cgroups, several apps, crowds. KTAP; as
 // scx_test.
-//   scx_machine_test [NAME]
+//   scx_machine_test [NAME [LOADS [THREADS]]]      of loaded_meanwhile, of fork_bomb
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
@@ -352,6 +352,60 @@ void deep_groups() {
   }
   ktap_test(nested && status == 0 && got > 0.1 * wall && got < 0.3 * wall,
             "a cgroup's limit holds for who has nested itself %d deeper: %.2f of %.2f s", kDeep,
+            got, wall);
+}
+
+/// Microseconds that a cgroup has used.
+std::int64_t usage_us(const std::string& cgroup) {
+  const std::string line = slurp(cgroup + "/cpu.stat");  // "usage_usec N"
+  return atoll(line.c_str() + std::min(line.size(), strlen("usage_usec ")));
+}
+
+/// The count of each is kept, however many there are. A turn of 5 ms is five periods' quota.
+void many_groups() {
+  constexpr int kGroups = 1100;
+  const std::string all = "/sys/fs/cgroup/many";
+  if (!full()) {
+    ktap_skip("many limited cgroups", "to make them takes long: `make check-full` has it");
+    return;
+  }
+  (void)loaded_world({"--timeout-ms", "30000"});
+  if (!give_cgroup(all, "max") || !put(all + "/cgroup.subtree_control", "+cpu")) {
+    ktap_skip("many limited cgroups", "this kernel has no cpu.max (CONFIG_CFS_BANDWIDTH)");
+    return;
+  }
+  struct Shared {
+    std::atomic<int> there{0};
+    std::atomic<std::uint32_t> go{0};
+  };
+  auto& s = shared<Shared>();
+  std::vector<pid_t> children;
+  for (int i = 0; i < kGroups; ++i) {
+    const std::string group = all + "/" + std::to_string(i);
+    if (!give_cgroup(group, "1000 1000000")) break;
+    children.push_back(fork());
+    if (children.back() != 0) continue;
+    be_ordinary();
+    if (!put(group + "/cgroup.procs", "0")) _exit(1);
+    ++s.there;
+    while (s.go == 0) syscall(SYS_futex, &s.go, FUTEX_WAIT, 0, nullptr, nullptr, 0);
+    for (;;) asm volatile("");
+  }
+  const bool there = wait_for([&] { return s.there == kGroups; }, 120);
+  s.go = 1;
+  syscall(SYS_futex, &s.go, FUTEX_WAKE, 1 << 30, nullptr, nullptr, 0);
+  sleep_ms(5400);  // each has had its turn
+  const std::int64_t before = usage_us(all);
+  const auto begin = Clock::now();
+  sleep_ms(700);
+  const double wall = seconds(Clock::now() - begin);
+  const double got = static_cast<double>(usage_us(all) - before) * 1e-6;
+  for (const pid_t child : children) kill(child, SIGKILL);
+  for (const pid_t child : children) waitpid(child, nullptr, 0);
+  for (int i = 0; i < kGroups; ++i) rmdir((all + "/" + std::to_string(i)).c_str());
+  rmdir(all.c_str());
+  ktap_test(there && before > 0 && got < 0.4 * wall,
+            "%d limited cgroups that have had their quota wait: they ran %.2f of %.2f s", kGroups,
             got, wall);
 }
 
@@ -778,6 +832,7 @@ const Test kTests[] = {
     {"pid_namespace", 1, pid_namespace},
     {"cpu_max", 2, cpu_max},
     {"deep_groups", 1, deep_groups},
+    {"many_groups", 1, many_groups},
     {"fork_bomb", 2, fork_bomb},
     {"kernel_hog", 1, kernel_hog},
     {"nice_kernel_thread", 1, nice_kernel_thread},
@@ -794,6 +849,7 @@ const Test kTests[] = {
 }  // namespace xauto::test
 
 int main(int argc, char** argv) {
-  if (argc > 2) xauto::test::g_loads = xauto::test::g_bomb = std::max(1, atoi(argv[2]));
+  if (argc > 2) xauto::test::g_loads = std::max(1, atoi(argv[2]));
+  if (argc > 3) xauto::test::g_bomb = std::max(1, atoi(argv[3]));
   return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }
