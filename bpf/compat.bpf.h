@@ -10,6 +10,9 @@
 bool bpf_cpumask_test_cpu(u32 cpu, const struct cpumask *cpumask) __ksym;
 struct task_struct *bpf_task_from_pid(s32 pid) __ksym;
 void bpf_task_release(struct task_struct *p) __ksym;
+/* Missing without cgroups. */
+struct cgroup *bpf_cgroup_ancestor(struct cgroup *cgrp, int level) __ksym __weak;
+void bpf_cgroup_release(struct cgroup *cgrp) __ksym __weak;
 void bpf_rcu_read_lock(void)
 	__ksym;
 void bpf_rcu_read_unlock(void)
@@ -68,6 +71,13 @@ bool scx_bpf_dsq_move___k613(struct bpf_iter_scx_dsq *it, struct task_struct *p,
 bool scx_bpf_dispatch_from_dsq___k612(struct bpf_iter_scx_dsq *it, struct task_struct *p, u64 dsq_id,
 				      u64 enq_flags) __ksym __weak;
 
+bool scx_bpf_dsq_move_vtime___k613(struct bpf_iter_scx_dsq *it, struct task_struct *p, u64 dsq_id,
+				   u64 enq_flags) __ksym __weak;
+void scx_bpf_dsq_move_set_vtime___k613(struct bpf_iter_scx_dsq *it, u64 vtime) __ksym __weak;
+bool scx_bpf_dispatch_vtime_from_dsq___k612(struct bpf_iter_scx_dsq *it, struct task_struct *p, u64 dsq_id,
+					    u64 enq_flags) __ksym __weak;
+void scx_bpf_dispatch_from_dsq_set_vtime___k612(struct bpf_iter_scx_dsq *it, u64 vtime) __ksym __weak;
+
 /* 6.19: setters instead of writing into the task. Older kernels allow the write only. */
 bool scx_bpf_task_set_slice___k619(struct task_struct *p, u64 slice) __ksym __weak;
 bool scx_bpf_task_set_dsq_vtime___k619(struct task_struct *p, u64 vtime) __ksym __weak;
@@ -101,6 +111,17 @@ static __always_inline bool move_task(struct bpf_iter_scx_dsq *it, struct task_s
 	if (bpf_ksym_exists(scx_bpf_dsq_move___k613))
 		return scx_bpf_dsq_move___k613(it, p, dsq, 0);
 	return scx_bpf_dispatch_from_dsq___k612(it, p, dsq, 0);
+}
+
+static __always_inline bool move_task_vtime(struct bpf_iter_scx_dsq *it, struct task_struct *p, u64 dsq,
+					    u64 vtime)
+{
+	if (bpf_ksym_exists(scx_bpf_dsq_move_vtime___k613)) {
+		scx_bpf_dsq_move_set_vtime___k613(it, vtime);
+		return scx_bpf_dsq_move_vtime___k613(it, p, dsq, 0);
+	}
+	scx_bpf_dispatch_from_dsq_set_vtime___k612(it, vtime);
+	return scx_bpf_dispatch_vtime_from_dsq___k612(it, p, dsq, 0);
 }
 
 static __always_inline void set_slice(struct task_struct *p, u64 slice)

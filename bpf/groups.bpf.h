@@ -8,15 +8,19 @@
  * the next periods pay. Who belongs to a cgroup over its quota waits in a queue of its own (PARKED_DSQ)
  * until that period ends. XNode threads are as the policy says, and who was lent a key is for that time.
  * cpu.max.burst is not looked at.
+ *
+ * The count is kept with the cgroup by the kernel, so that no number of others makes it be forgotten. We begin
+ * at the root's side and end at LIMITED_LEVELS: who may make cgroups makes them below the one that limits
+ * them, however deep, and each thread costs the same.
  */
 #ifndef _XAUTO_GROUPS_BPF_H
 #define _XAUTO_GROUPS_BPF_H
 
-#define DEEPEST_GROUP 8
+#define LIMITED_LEVELS 16
 #define NO_QUOTA (~0ULL) /* the kernel's RUNTIME_INF */
 
 /**
- * struct group_use - a cgroup with a limit, by its task_group's address
+ * struct group_use - a cgroup with a limit
  * @since_ns: begin of its present period
  * @used_ns:  run since then, and before that over the quota
  */
@@ -26,9 +30,9 @@ struct group_use {
 };
 
 struct {
-	__uint(type, BPF_MAP_TYPE_LRU_HASH);
-	__uint(max_entries, 1024);
-	__type(key, u64);
+	__uint(type, BPF_MAP_TYPE_CGRP_STORAGE);
+	__uint(map_flags, BPF_F_NO_PREALLOC);
+	__type(key, int);
 	__type(value, struct group_use);
 } groups SEC(".maps");
 
@@ -37,34 +41,31 @@ static unsigned long long limited_ns; /* when a cgroup with a limit was last see
 /* Without CONFIG_CFS_BANDWIDTH there is a struct cfs_bandwidth all the same, an empty one. */
 static __always_inline bool has_quotas(void)
 {
-	return bpf_core_field_exists(((struct task_group *)0)->cfs_bandwidth.quota);
+	return bpf_core_field_exists(((struct task_group *)0)->cfs_bandwidth.quota) &&
+	       bpf_core_enum_value_exists(enum cgroup_subsys_id, cpu_cgrp_id) &&
+	       bpf_ksym_exists(bpf_cgroup_ancestor);
 }
 
-/* Charges the group for `ran` and ends its period if it is over: true if it is beyond its quota. */
-__noinline int group_is_over(u64 group, u64 ran, u64 now)
+/* Its scheduling group, to be read only; NULL: it has none of its own. */
+static __always_inline struct task_group *task_group_of(struct cgroup *group)
 {
-	struct task_group *g = (struct task_group *)group;
-	u64 quota, period, since, ended, paid, used;
-	struct group_use fresh = {}, *use;
+	u64 at = (u64)group + bpf_core_field_offset(struct cgroup, subsys) +
+		 bpf_core_enum_value(enum cgroup_subsys_id, cpu_cgrp_id) * sizeof(void *);
+	u64 css = 0;
 
-	/* Here, too: the kernel verifies this function by itself, so what its caller has asked is not known. */
-	if (!has_quotas())
-		return false;
-	quota = BPF_CORE_READ(g, cfs_bandwidth.quota);
-	if (quota == NO_QUOTA)
-		return false;
-	limited_ns = now;
-	period = (u64)BPF_CORE_READ(g, cfs_bandwidth.period);
-	use = bpf_map_lookup_elem(&groups, &group);
-	if (!use) {
-		fresh.since_ns = now;
-		fresh.used_ns = ran;
-		bpf_map_update_elem(&groups, &group, &fresh, BPF_ANY);
-		return ran >= quota;
-	}
-	__sync_fetch_and_add(&use->used_ns, ran);
+	bpf_probe_read_kernel(&css, sizeof(css), (void *)at);
+	return css ? (struct task_group *)(css - bpf_core_field_offset(struct task_group, css)) : NULL;
+}
+
+/* Ends its period if it is over, and charges it for `ran` in the present one. Returns when it may run again; 0: now. */
+static __always_inline u64 spent_until(struct group_use *use, u64 quota, u64 period, u64 ran, u64 now)
+{
+	u64 since, ended, paid, used;
+
+	if (!use->since_ns)
+		__sync_val_compare_and_swap(&use->since_ns, 0, now);
 	since = use->since_ns;
-	if (period && now > since && now - since >= period) {
+	if (now > since && now - since >= period) {
 		ended = (now - since) / period;
 		/* One CPU ends the period. */
 		if (__sync_val_compare_and_swap(&use->since_ns, since, since + ended * period) == since) {
@@ -73,31 +74,44 @@ __noinline int group_is_over(u64 group, u64 ran, u64 now)
 			__sync_fetch_and_add(&use->used_ns, -(paid < used ? paid : used));
 		}
 	}
-	return use->used_ns >= quota;
+	used = __sync_fetch_and_add(&use->used_ns, ran) + ran;
+	return used < quota ? 0 : use->since_ns + used / quota * period;
 }
 
-/* ... of this group and those that it is in. */
-__noinline int groups_are_over(u64 group, u64 ran, u64 now)
+/* When all cgroups that the thread is in may run again; 0: now. `ran`: since it was last charged. */
+__noinline u64 throttled_until(struct task_struct *p __arg_trusted, u64 ran, u64 now)
 {
-	bool over = false;
-	int i;
+	struct bpf_iter_num it;
+	u64 until = 0;
+	int *level;
 
+	/* Here, too: the kernel verifies this function by itself. */
 	if (!has_quotas())
-		return false;
-	for (i = 0; i < DEEPEST_GROUP && group; i++) {
-		if (group_is_over(group, ran, now))
-			over = true;
-		group = (u64)BPF_CORE_READ((struct task_group *)group, parent);
-	}
-	return over;
-}
+		return 0;
+	bpf_iter_num_new(&it, 1, LIMITED_LEVELS + 1); /* the root has no limit */
+	while ((level = bpf_iter_num_next(&it))) {
+		struct css_set *set = p->cgroups;
+		struct cgroup *group = set ? bpf_cgroup_ancestor(set->dfl_cgrp, *level) : NULL;
+		struct task_group *g;
+		struct group_use *use;
+		u64 quota, period, then;
 
-/* `ran`: since it was last charged. */
-static __always_inline bool is_throttled(struct task_struct *p, u64 ran, u64 now)
-{
-	if (!bpf_core_field_exists(p->sched_task_group) || !has_quotas())
-		return false;
-	return groups_are_over((u64)BPF_CORE_READ(p, sched_task_group), ran, now);
+		if (!group)
+			break;
+		g = task_group_of(group);
+		quota = g ? BPF_CORE_READ(g, cfs_bandwidth.quota) : NO_QUOTA;
+		period = g ? (u64)BPF_CORE_READ(g, cfs_bandwidth.period) : 0;
+		if (quota && quota != NO_QUOTA && period) {
+			limited_ns = now;
+			use = bpf_cgrp_storage_get(&groups, group, 0, BPF_LOCAL_STORAGE_GET_F_CREATE);
+			then = use ? spent_until(use, quota, period, ran, now) : 0;
+			if (then > until)
+				until = then;
+		}
+		bpf_cgroup_release(group);
+	}
+	bpf_iter_num_destroy(&it);
+	return until;
 }
 
 #endif /* _XAUTO_GROUPS_BPF_H */

@@ -42,9 +42,15 @@ enum bpf_map_type {
 	BPF_MAP_TYPE_PERCPU_ARRAY = 6,
 	BPF_MAP_TYPE_LRU_HASH = 9,
 	BPF_MAP_TYPE_RINGBUF = 27,
+	BPF_MAP_TYPE_CGRP_STORAGE = 32,
 };
 
-enum { BPF_ANY = 0, BPF_F_MMAPABLE = 1U << 10 };
+enum {
+	BPF_ANY = 0,
+	BPF_F_NO_PREALLOC = 1,
+	BPF_F_MMAPABLE = 1U << 10,
+	BPF_LOCAL_STORAGE_GET_F_CREATE = 1,
+};
 #define BPF_F_CURRENT_CPU 0xffffffffULL
 
 #define PF_KTHREAD 0x00200000
@@ -56,7 +62,12 @@ struct cpumask {
 	unsigned long bits[1];
 };
 
+struct scx_dispatch_q {
+	u64 id;
+};
+
 struct sched_ext_entity {
+	struct scx_dispatch_q *dsq;
 	u32 flags;
 	u32 weight;
 	u64 slice;
@@ -73,9 +84,22 @@ struct cfs_bandwidth {
 	u64 quota;
 };
 
+struct cgroup_subsys_state {
+	int id;
+};
+
 struct task_group {
-	struct task_group *parent;
+	struct cgroup_subsys_state css;
 	struct cfs_bandwidth cfs_bandwidth;
+};
+
+struct cgroup {
+	int level;
+	struct cgroup_subsys_state *subsys[1];
+};
+
+struct css_set {
+	struct cgroup *dfl_cgrp;
 };
 
 struct ns_common {
@@ -108,7 +132,7 @@ struct task_struct {
 	int nr_cpus_allowed;
 	unsigned short migration_disabled;
 	const struct cpumask *cpus_ptr;
-	struct task_group *sched_task_group;
+	struct css_set *cgroups;
 	struct sched_entity se;
 	struct sched_ext_entity scx;
 	char comm[16];
@@ -140,6 +164,10 @@ struct rt_mutex_waiter {
 /* Before 5.14 `__state` was called `state`, and was a long. */
 struct task_struct___old {
 	long state;
+};
+
+enum cgroup_subsys_id {
+	cpu_cgrp_id,
 };
 
 enum scx_exit_kind {

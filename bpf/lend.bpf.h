@@ -145,6 +145,14 @@ static __always_inline u32 begin_lending(u32 at, struct task_struct *p)
 	return (u32)lend(at);
 }
 
+/* Whom slot `at` lends to; 0: nobody. */
+static __always_inline u32 borrower(u32 at)
+{
+	struct lender *l = bpf_map_lookup_elem(&lenders, &at);
+
+	return l && l->thread ? l->to : 0;
+}
+
 /* It is awake. */
 static __always_inline void end_lending(u32 at)
 {

@@ -18,7 +18,9 @@
  *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
  *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
  *      An ordinary thread that has waited for half of the watchdog's limit needs no credit: the floor
- *      is a share, and of a crowd each would get its part of that too late;
+ *      is a share, and of a crowd each would get its part of that too late. All such turns together are
+ *      a quarter of time at most, so that no crowd has the CPU: of one that is too large for that, the
+ *      kernel's watchdog ends us;
  *   3. the first by the rule of c's XNode queue, or the XNode thread that runs if that takes nothing
  *      from it;
  *   4. the fair queue.
@@ -37,6 +39,11 @@
  * What cannot be ends the scheduler with a reason (scx_bpf_error), and the kernel goes back to its own.
  * What user space may get wrong (a job word, a slot number, a table) never does: that thread is an
  * ordinary one then, and a count tells.
+ *
+ * Any user can make ordinary threads, as many as the machine has. So nothing that is done with a run queue
+ * locked grows with their number: of their queues we look at the first few, and why nobody starves of that
+ * is said in ordinary.bpf.h. Only the kernel's own search for the first that may run on a CPU passes over
+ * those that are pinned to others.
  *
  * Ordinary threads of a cgroup that has had its cpu.max are parked until its period ends (groups.bpf.h).
  *
@@ -71,7 +78,7 @@ const volatile unsigned int kernel_permille = 100;    /* of kernel threads, befo
 const volatile unsigned int kernel_burst_us = 50000;
 const volatile unsigned int age_ms = 1000;
 const volatile unsigned long rescue_jiffies = 1000; /* an ordinary thread that waits longer goes first */
-const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one */
+const volatile unsigned int timeout_ms = 10000;     /* the watchdog's; of it 1 % is how often we look */
 
 /* CPUs that share a cache, by one of them: a thread that may choose stays among those of its own. */
 const volatile unsigned char cluster_of[XAUTO_BPF_MAX_CPUS];
@@ -83,12 +90,17 @@ char exit_dump[XAUTO_BPF_DUMP] SEC(".data.dump");
 #define PARKED_DSQ 0x58460001ULL
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
 #define NS_PER_US 1000ULL
-#define PARKED_LOOK_NS 2000000ULL
+#define NS_PER_MS 1000000ULL
 
 /* cpu_state.current, besides a slot's number */
 #define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
 #define CURRENT_KERNEL (-2)
 #define CURRENT_ORDINARY (-3)
+
+/* cpu_state.grant: 0, on the floor's credit, or since it has waited for long */
+#define GRANT_FLOOR 1
+#define GRANT_RESCUE 2
+#define RESCUE_REST 3 /* so long, in turns, the CPU is XNode threads' after a rescue */
 
 /**
  * struct cpu_state - one CPU, written by it alone except @woken
@@ -105,9 +117,9 @@ char exit_dump[XAUTO_BPF_DUMP] SEC(".data.dump");
  * @began_ns:  when @current began, or was last accounted
  * @began_run: what the kernel had counted for it then. An ordinary thread is charged by that: it has in it
  *             what passes in the kernel before running(), and not what a hypervisor took
- * @grant:     the thread chosen last is to run on the floor's credit; stopping() of its predecessor
- *             comes between that choice and its running()
- * @granted:   the thread that runs does so on the floor's credit
+ * @grant:     the thread chosen last is to run before XNode threads, GRANT_*; stopping() of its
+ *             predecessor comes between that choice and its running()
+ * @granted:   the thread that runs does so
  * @woken:     an XNode thread woke up since the last choice: it goes before the floor
  * @rekicked:  running() has kicked since the last dispatch(). The kernel puts some threads (exiting,
  *             unable to migrate) straight back on the local queue without asking us; kicking such a
@@ -151,8 +163,7 @@ XAUTO_MAP_THREADS;
 #include "lend.bpf.h"
 #include "groups.bpf.h"
 
-static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
-
+static unsigned long long vtime_now; /* of the fair queue, see ordinary.bpf.h */
 static unsigned int offline_cpus; /* how many */
 
 static __always_inline bool any_offline(void)
@@ -207,12 +218,14 @@ static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_str
 	set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
 	if (c->granted)
 		c->credit_ns -= (s64)ran;
+	if (c->granted == GRANT_RESCUE && c->look_at < now + RESCUE_REST * ran)
+		c->look_at = now + RESCUE_REST * ran;
 	if (p->flags & PF_KTHREAD) {
 		if (hurries(p))
 			c->kernel_ns -= (s64)ran;
 		return false;
 	}
-	return is_throttled(p, ran, now);
+	return throttled_until(p, ran, now) != 0;
 }
 
 static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
@@ -290,6 +303,17 @@ static __always_inline s32 home_of(struct task_struct *p, const struct claim *c)
 
 /* ---- queues -------------------------------------------------------------------------------- */
 
+/* The queue that the thread waits in; 0: none. */
+static __always_inline u64 queue_of(struct task_struct *p)
+{
+	return BPF_CORE_READ(p, scx.dsq, id);
+}
+
+static __always_inline bool is_ordinary_queue(u64 dsq)
+{
+	return dsq == FAIR_DSQ || dsq == PARKED_DSQ;
+}
+
 /* To be destroyed also when it fails. */
 static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, u64 dsq)
 {
@@ -334,27 +358,42 @@ out:
 	return first->key;
 }
 
-/* Before that, ordinary threads that were queued before anything was lent to them. */
+/*
+ * Before that, ordinary threads that were queued before anything was lent to them. Found by who lends: there
+ * are few of those, and any user can fill the queues of ordinary threads.
+ */
 __noinline s64 first_lent(s32 cpu, struct claim *first)
 {
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
+	struct xauto_bpf_head *h = bpf_map_lookup_elem(&head, &(u32){ 0 });
+	struct bpf_iter_num it;
+	int *i;
 
 	if (!first)
 		return NO_KEY;
-	if (!iterate(&it, FAIR_DSQ))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_SLOTS);
+	while ((i = bpf_iter_num_next(&it))) {
 		struct claim c = { .key = NO_KEY, .slot = -1 };
+		struct task_struct *p;
+		u32 who;
 
-		borrow((u32)p->pid, &c);
-		if (c.key == NO_KEY || home_of(p, &c) != cpu || !XAUTO_RULE_BEFORE(c, *first))
+		if (!h || *i >= (int)h->slots)
+			break;
+		who = borrower((u32)*i);
+		if (!who)
 			continue;
-		*first = c;
-		first->tid = p->pid;
+		borrow(who, &c);
+		if (c.key == NO_KEY || !XAUTO_RULE_BEFORE(c, *first))
+			continue;
+		p = bpf_task_from_pid((s32)who);
+		if (!p)
+			continue;
+		if (is_ordinary_queue(queue_of(p)) && home_of(p, &c) == cpu) {
+			*first = c;
+			first->tid = (s32)who;
+		}
+		bpf_task_release(p);
 	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
+	bpf_iter_num_destroy(&it);
 	return first->key;
 }
 
@@ -463,92 +502,7 @@ static __always_inline void hurry(u32 pid, s32 here)
 	bpf_task_release(p);
 }
 
-/*
- * Whether the kernel lets us move the thread: a mistake ends the scheduler. It counts sections that must
- * stay on their CPU, and where BPF programs are such sections, also us for the thread that runs here: by
- * what the least is that ticks have seen.
- */
-#define ENOUGH_TICKS 64
-static unsigned int ticks_seen, least_disabled = 0xffff;
-
-static __always_inline void see_tick(const struct task_struct *p)
-{
-	if (!bpf_core_field_exists(p->migration_disabled) || ticks_seen >= ENOUGH_TICKS)
-		return;
-	if (p->migration_disabled < least_disabled)
-		least_disabled = p->migration_disabled;
-	__sync_fetch_and_add(&ticks_seen, 1);
-}
-
-static __always_inline bool may_move(const struct task_struct *p)
-{
-	u32 own = 0;
-
-	if (!bpf_core_field_exists(p->migration_disabled))
-		return false;
-	if (bpf_get_current_task() == (u64)p && *(volatile u32 *)&ticks_seen >= ENOUGH_TICKS)
-		own = least_disabled;
-	return p->migration_disabled <= own;
-}
-
-/* An idle CPU of the cluster where the thread ran last, no longer marked idle; -1: there is none. */
-static __always_inline s32 take_idle_near(struct task_struct *p)
-{
-	u32 last = (u32)scx_bpf_task_cpu(p);
-	struct bpf_iter_num it;
-	s32 cpu = -1;
-	int *i;
-
-	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
-	while ((i = bpf_iter_num_next(&it))) {
-		if (*i >= (int)nr_cpus)
-			break;
-		if (!is_near((u32)*i, last) || !bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) ||
-		    !scx_bpf_test_and_clear_cpu_idle(*i))
-			continue;
-		cpu = *i;
-		break;
-	}
-	bpf_iter_num_destroy(&it);
-	return cpu;
-}
-
-static __always_inline bool wake_idle_for(struct task_struct *p)
-{
-	s32 cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
-
-	if (cpu >= 0)
-		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
-	return cpu >= 0;
-}
-
-static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flags)
-{
-	u64 slice = ordinary_slice_us * NS_PER_US;
-	u64 vtime = p->scx.dsq_vtime;
-	s32 near;
-
-	/* A CPU that is going takes no more from our queues. The kernel moves what is in its own. */
-	if (any_offline() && is_offline(scx_bpf_task_cpu(p))) {
-		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
-		return;
-	}
-	/* Sleeping earns at most one slice, and so does having been an XNode thread (vtime_of_key). */
-	if ((s64)(vtime_now - vtime) > (s64)slice)
-		vtime = vtime_now - slice;
-	if (is_throttled(p, 0, bpf_ktime_get_ns())) {
-		insert_vtime(p, PARKED_DSQ, slice, vtime, enq_flags);
-		return;
-	}
-	/* Straight to it: from the fair queue, the first CPU that looks would take it. */
-	near = may_move(p) ? take_idle_near(p) : -1;
-	if (near >= 0) {
-		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL_ON) | (u32)near, slice, enq_flags);
-		return;
-	}
-	insert_vtime(p, FAIR_DSQ, slice, vtime, enq_flags);
-	wake_idle_for(p);
-}
+#include "ordinary.bpf.h"
 
 /* By several CPUs at once a little of the refill is lost or given twice: let's live with it. */
 static __always_inline bool kernel_is_over(struct cpu_state *c)
@@ -608,7 +562,7 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY && place(p, &mine) >= 0)
 		return place(p, &mine);
 	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
-	if (idle && mine.key == NO_KEY && !is_throttled(p, 0, bpf_ktime_get_ns()))
+	if (idle && mine.key == NO_KEY && !throttled_until(p, 0, bpf_ktime_get_ns()))
 		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), ordinary_slice_us * NS_PER_US, 0);
 	return cpu;
 }
@@ -664,80 +618,24 @@ out:
 	return moved;
 }
 
-__noinline int dispatch_thread(u64 dsq, s32 who)
+/* Nothing is looked for: the kernel sees whether it is still in that queue. */
+__noinline int dispatch_thread(s32 cpu, s32 who)
 {
+	struct task_struct *p = bpf_task_from_pid(who);
 	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
 	bool moved = false;
+	u64 dsq;
 
-	if (!iterate(&it, dsq))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		if (p->pid != who)
-			continue;
-		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
-		break;
+	if (!p)
+		return false;
+	dsq = queue_of(p);
+	if (dsq == XNODE_DSQ(cpu) || is_ordinary_queue(dsq)) {
+		if (iterate(&it, dsq))
+			moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		bpf_iter_scx_dsq_destroy(&it);
 	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
+	bpf_task_release(p);
 	return moved;
-}
-
-/* An ordinary thread that has waited for long gets a turn: true if there is one. */
-__noinline int dispatch_rescued(s32 cpu, u64 dsq)
-{
-	u64 now = bpf_jiffies64();
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
-	bool moved = false;
-
-	if (!iterate(&it, dsq))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		/* runnable_at: what the kernel's watchdog goes by. */
-		if ((s64)(now - p->scx.runnable_at) <= (s64)rescue_jiffies ||
-		    !bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr))
-			continue;
-		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
-		if (moved)
-			break;
-	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
-	return moved;
-}
-
-/* A parked thread whose cgroups may run again: true if there is one. */
-__noinline int dispatch_parked(s32 cpu)
-{
-	u64 now = bpf_ktime_get_ns();
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
-	bool moved = false;
-
-	if (!iterate(&it, PARKED_DSQ))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		if (!bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr) || is_throttled(p, 0, now))
-			continue;
-		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
-		if (moved)
-			break;
-	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
-	return moved;
-}
-
-/* An ordinary thread's turn: true if there is one. */
-static __always_inline bool dispatch_ordinary(struct cpu_state *c, s32 cpu, u64 now)
-{
-	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0 && now >= c->parked_at) {
-		if (dispatch_parked(cpu))
-			return true;
-		c->parked_at = now + PARKED_LOOK_NS;
-	}
-	return scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ);
 }
 
 /* What was put into the queue of a CPU that had just gone: true if there is one. */
@@ -814,21 +712,21 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 	}
 	if (now >= c->look_at) {
 		/* If there is one, there may be more of them. */
-		if (dispatch_rescued(cpu, FAIR_DSQ) || dispatch_rescued(cpu, PARKED_DSQ)) {
-			c->grant = 1;
+		if (dispatch_rescued(cpu) || dispatch_parked(cpu, true)) {
+			c->grant = GRANT_RESCUE;
 			count(XAUTO_BPF_STAT_FLOOR);
 			return;
 		}
-		c->look_at = now + rescue_look_ms * 1000 * NS_PER_US;
+		c->look_at = now + timeout_ms / 100 * NS_PER_MS;
 	}
 	if (!c->woken && c->credit_ns >= (s64)(grant_us * NS_PER_US)) {
 		if (dispatch_aged(cpu)) {
-			c->grant = 1;
+			c->grant = GRANT_FLOOR;
 			count(XAUTO_BPF_STAT_AGED);
 			return;
 		}
 		if (dispatch_ordinary(c, cpu, now)) {
-			c->grant = 1;
+			c->grant = GRANT_FLOOR;
 			count(XAUTO_BPF_STAT_FLOOR);
 			return;
 		}
@@ -841,8 +739,7 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		return;
 	}
 	/* It may have been taken off the queue meanwhile: then whoever is first. */
-	if (!dispatch_thread(XNODE_DSQ(cpu), first.tid) &&
-	    !(anybody_lends() && dispatch_thread(FAIR_DSQ, first.tid)))
+	if (!dispatch_thread(cpu, first.tid))
 		move_to_local(XNODE_DSQ(cpu));
 }
 
@@ -873,8 +770,8 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 		if (mine != NO_KEY)
 			current = t.at;
 	}
-	if (mine == NO_KEY && (s64)(p->scx.dsq_vtime - vtime_now) > 0)
-		vtime_now = p->scx.dsq_vtime; /* races only make it a little smaller */
+	if (mine == NO_KEY)
+		begin_fair(p);
 
 	/* Publish first, then look: whoever was queued while nobody could be preempted is seen here.
 	 * A thread that a fair or real-time thread had interrupted comes back this way without
@@ -887,8 +784,8 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	if (slot)
 		slot->waiting = waiting != NO_KEY;
 	if (c->grant) {
+		c->granted = c->grant;
 		c->grant = 0;
-		c->granted = 1;
 		set_slice(p, grant_us * NS_PER_US);
 		return;
 	}
@@ -1040,43 +937,6 @@ void BPF_PROG(xauto_cpu_online, s32 cpu)
 
 	if (c && __sync_lock_test_and_set(&c->offline, 0))
 		__sync_fetch_and_add(&offline_cpus, -1);
-}
-
-/* Wakes an idle CPU for parked threads that may go on: nobody else does. */
-struct parked_timer {
-	struct bpf_timer timer;
-};
-
-struct {
-	__uint(type, BPF_MAP_TYPE_ARRAY);
-	__uint(max_entries, 1);
-	__type(key, u32);
-	__type(value, struct parked_timer);
-} timers SEC(".maps");
-
-static int on_parked_timer(void *map, u32 *key, struct parked_timer *t)
-{
-	u64 now = bpf_ktime_get_ns();
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
-
-	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0) {
-		/* 6.12 takes it for part of xauto_init(), which may sleep. */
-		bpf_rcu_read_lock();
-		if (iterate(&it, PARKED_DSQ)) {
-			while ((p = bpf_iter_scx_dsq_next(&it))) {
-				if (is_throttled(p, 0, now))
-					continue;
-				if (!wake_idle_for(p))
-					break;
-			}
-		}
-		bpf_iter_scx_dsq_destroy(&it);
-		bpf_rcu_read_unlock();
-	}
-	bpf_timer_start(&t->timer, now - limited_ns < 1000000000ULL ? 2 * PARKED_LOOK_NS : 50 * PARKED_LOOK_NS,
-			0);
-	return 0;
 }
 
 /* What the kernel's own dump of an error does not know. */

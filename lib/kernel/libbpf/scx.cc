@@ -88,7 +88,7 @@ Result<ScxScheduler> ScxScheduler::load_once(const RunMaps& maps, const ScxOptio
   clock_getres(CLOCK_MONOTONIC_COARSE, &tick);
   constants.rescue_jiffies = static_cast<unsigned long>(options.timeout_ms / 2) * 1'000'000 /
                              static_cast<unsigned long>(std::max(tick.tv_nsec, 1'000'000L / 4));
-  constants.rescue_look_ms = options.timeout_ms / 100;
+  constants.timeout_ms = options.timeout_ms;
   auto* ops = loaded.object->struct_ops.xauto_ops;
   ops->timeout_ms = options.timeout_ms;
   ops->hotplug_seq = seen;

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The scheduler beside what else a machine does: namespaces, CPUs that go and come, cgroups, several apps, crowds. KTAP; as
 // scx_test.
-//   scx_machine_test [NAME]
+//   scx_machine_test [NAME [LOADS [THREADS]]]      of loaded_meanwhile, of fork_bomb
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
+#include <numeric>
 
 #include <fcntl.h>
 #include <linux/sched.h>
@@ -284,6 +285,267 @@ void cpu_max() {
             "a cgroup limited to 20 %% of a CPU has that: %.2f of %.2f s", both, wall);
   ktap_test(other > 0.8 * wall && scx_state() == "enabled",
             "... and who is beside it is not slowed down: %.2f s", other);
+}
+
+// ---- strangers ----------------------------------------------------------------------------------
+
+constexpr uid_t kStranger = 65534;
+
+/// A cgroup that the stranger may do with as one does with one's own. Returns false without cpu.max.
+bool give_cgroup(const std::string& path, const char* limit) {
+  const std::string root = "/sys/fs/cgroup";
+  put(root + "/cgroup.subtree_control", "+cpu");
+  mkdir(path.c_str(), 0755);
+  if (!put(path + "/cpu.max", limit)) return false;
+  for (const char* file : {"", "/cgroup.procs", "/cgroup.subtree_control", "/cgroup.threads"})
+    if (chown((path + file).c_str(), kStranger, kStranger) != 0) return false;
+  return true;
+}
+
+void become_stranger() {
+  if (setgid(kStranger) != 0 || setuid(kStranger) != 0) _exit(9);
+}
+
+/// The limit is the outermost's, however deep its threads have nested themselves.
+void deep_groups() {
+  constexpr int kDeep = 40;
+  const std::string limited = "/sys/fs/cgroup/deep";
+  (void)loaded_world();
+  if (!give_cgroup(limited, "20000 100000")) {
+    ktap_skip("nested cgroups", "this kernel has no cpu.max (CONFIG_CFS_BANDWIDTH)");
+    return;
+  }
+  struct Shared {
+    std::atomic<bool> stop{false}, nested{false};
+    std::atomic<double> got{0};
+  };
+  auto& s = shared<Shared>();
+  const pid_t child = fork();
+  if (child == 0) {
+    be_ordinary();
+    if (!put(limited + "/cgroup.procs", "0")) _exit(1);
+    become_stranger();
+    if (chdir(limited.c_str()) != 0) _exit(2);
+    for (int i = 0; i < kDeep; ++i) {
+      // Nobody may be in one that hands its controllers down.
+      if (mkdir("below", 0755) != 0 || !put("below/cgroup.procs", "0") ||
+          !put("cgroup.subtree_control", "+cpu") || chdir("below") != 0)
+        _exit(3);
+    }
+    s.nested = true;
+    while (!s.stop) s.got = cpu_seconds();
+    _exit(0);
+  }
+  const bool nested = wait_for([&] { return s.nested.load(); }, 60);
+  sleep_ms(500);
+  const double before = s.got;
+  const auto begin = Clock::now();
+  sleep_ms(3000);
+  const double wall = seconds(Clock::now() - begin), got = s.got - before;
+  s.stop = true;
+  int status = 1;
+  waitpid(child, &status, 0);
+  for (int i = kDeep; i >= 0; --i) {
+    std::string path = limited;
+    for (int k = 0; k < i; ++k) path += "/below";
+    wait_for([&] { return rmdir(path.c_str()) == 0; });
+  }
+  ktap_test(nested && status == 0 && got > 0.1 * wall && got < 0.3 * wall,
+            "a cgroup's limit holds for who has nested itself %d deeper: %.2f of %.2f s", kDeep,
+            got, wall);
+}
+
+/// Microseconds that a cgroup has used.
+std::int64_t usage_us(const std::string& cgroup) {
+  const std::string line = slurp(cgroup + "/cpu.stat");  // "usage_usec N"
+  return atoll(line.c_str() + std::min(line.size(), strlen("usage_usec ")));
+}
+
+/// The count of each is kept, however many there are. A turn of 5 ms is five periods' quota.
+void many_groups() {
+  constexpr int kGroups = 1100;
+  const std::string all = "/sys/fs/cgroup/many";
+  if (!full()) {
+    ktap_skip("many limited cgroups", "to make them takes long: `make check-full` has it");
+    return;
+  }
+  (void)loaded_world({"--timeout-ms", "30000"});
+  if (!give_cgroup(all, "max") || !put(all + "/cgroup.subtree_control", "+cpu")) {
+    ktap_skip("many limited cgroups", "this kernel has no cpu.max (CONFIG_CFS_BANDWIDTH)");
+    return;
+  }
+  struct Shared {
+    std::atomic<int> there{0};
+    std::atomic<std::uint32_t> go{0};
+  };
+  auto& s = shared<Shared>();
+  std::vector<pid_t> children;
+  for (int i = 0; i < kGroups; ++i) {
+    const std::string group = all + "/" + std::to_string(i);
+    if (!give_cgroup(group, "1000 1000000")) break;
+    children.push_back(fork());
+    if (children.back() != 0) continue;
+    be_ordinary();
+    if (!put(group + "/cgroup.procs", "0")) _exit(1);
+    ++s.there;
+    while (s.go == 0) syscall(SYS_futex, &s.go, FUTEX_WAIT, 0, nullptr, nullptr, 0);
+    for (;;) asm volatile("");
+  }
+  const bool there = wait_for([&] { return s.there == kGroups; }, 120);
+  s.go = 1;
+  syscall(SYS_futex, &s.go, FUTEX_WAKE, 1 << 30, nullptr, nullptr, 0);
+  sleep_ms(5400);  // each has had its turn
+  const std::int64_t before = usage_us(all);
+  const auto begin = Clock::now();
+  sleep_ms(700);
+  const double wall = seconds(Clock::now() - begin);
+  const double got = static_cast<double>(usage_us(all) - before) * 1e-6;
+  for (const pid_t child : children) kill(child, SIGKILL);
+  for (const pid_t child : children) waitpid(child, nullptr, 0);
+  for (int i = 0; i < kGroups; ++i) rmdir((all + "/" + std::to_string(i)).c_str());
+  rmdir(all.c_str());
+  ktap_test(there && before > 0 && got < 0.4 * wall,
+            "%d limited cgroups that have had their quota wait: they ran %.2f of %.2f s", kGroups,
+            got, wall);
+}
+
+/// Threads of another user, all of which spin once they are let go.
+class Bomb {
+ public:
+  Bomb(int threads, const std::string& cgroup) : shared_(shared<Shared>()) {
+    child_ = fork();
+    if (child_ == 0) burst(threads);
+    ready_ = wait_for([&] { return shared_.made.load() != 0; }, 300);
+    if (!cgroup.empty()) ready_ = put(cgroup + "/cgroup.procs", std::to_string(child_)) && ready_;
+  }
+  void go() {
+    shared_.go = 1;
+    syscall(SYS_futex, &shared_.go, FUTEX_WAKE, 1 << 30, nullptr, nullptr, 0);
+  }
+  ~Bomb() {
+    kill(child_, SIGKILL);
+    waitpid(child_, nullptr, 0);
+  }
+  [[nodiscard]] int made() const { return ready_ ? shared_.made.load() : 0; }
+
+ private:
+  struct Shared {
+    std::atomic<int> made{0};
+    std::atomic<std::uint32_t> go{0};
+  };
+  static void* spin_later(void* at) {
+    auto& go = static_cast<Shared*>(at)->go;
+    while (go == 0) syscall(SYS_futex, &go, FUTEX_WAIT, 0, nullptr, nullptr, 0);
+    for (;;) asm volatile("");
+  }
+  [[noreturn]] void burst(int threads) {
+    be_ordinary();
+    become_stranger();
+    pthread_attr_t small;
+    pthread_attr_init(&small);
+    pthread_attr_setstacksize(&small, 16384);
+    pthread_attr_setguardsize(&small, 0);
+    int made = 0;
+    for (pthread_t thread; made < threads; ++made)
+      if (pthread_create(&thread, &small, spin_later, &shared_) != 0) break;
+    shared_.made = made;
+    for (;;) pause();
+  }
+  Shared& shared_;
+  pid_t child_ = -1;
+  bool ready_ = false;
+};
+
+/// How late a job of the waiter's begins: of that many, the median and the worst, ms.
+struct Late {
+  double median = 0, worst = 0;
+};
+Late how_late(Waiter& waiter, std::atomic<std::int64_t>& began_ns, int jobs) {
+  std::vector<double> late;
+  for (int i = 0; i < jobs; ++i) {
+    sleep_ms(7);  // no multiple of anybody's period
+    const std::uint32_t done = waiter.done();
+    const std::int64_t since_ns = now_ns();
+    waiter.wake();
+    if (!wait_for([&] { return waiter.done() != done; }, 60)) ktap_bail("a job does not run");
+    late.push_back(static_cast<double>(began_ns - since_ns) * 1e-6);
+  }
+  std::sort(late.begin(), late.end());
+  return {late[late.size() / 2], late.back()};
+}
+
+int g_bomb = 2000;
+
+/// What is done with a run queue locked does not grow with their number. More than the test's own are for by
+/// hand: the kernel's limit has to be longer then.
+void fork_bomb() {
+  constexpr int kJobs = 200;
+  const std::string limited = "/sys/fs/cgroup/bomb";
+  World& world = g_bomb > 2000 ? loaded_world({"--timeout-ms", "30000"}) : loaded_world();
+  const bool has_limit = give_cgroup(limited, "100000 100000");
+  std::atomic<std::int64_t> began_ns{0};
+  Waiter waiter(world, 0, [&](const kernel::ThreadSlot&) {
+    began_ns = now_ns();
+    burn_us(500);
+  });
+  waiter.submit(0, 1);
+  const Late quiet = how_late(waiter, began_ns, kJobs);
+  ktap_note("nobody else: %.2f ms (median), %.2f (worst)", quiet.median, quiet.worst);
+  for (const bool parked : {true, false}) {
+    if (parked && !has_limit) {
+      ktap_skip("parked threads", "this kernel has no cpu.max (CONFIG_CFS_BANDWIDTH)");
+      continue;
+    }
+    Bomb bomb(g_bomb, parked ? limited : "");
+    bomb.go();
+    sleep_ms(500);
+    const Late late = how_late(waiter, began_ns, kJobs);
+    ktap_note("%d threads%s: %.2f ms (median), %.2f (worst)", bomb.made(),
+              parked ? " of a limited cgroup" : "", late.median, late.worst);
+    ktap_test(bomb.made() == g_bomb && late.worst < 15 && scx_state() == "enabled",
+              "a job is not held up by %d threads of a stranger's%s: %.1f ms at worst", bomb.made(),
+              parked ? " in a limited cgroup" : "", late.worst);
+  }
+  wait_for([&] { return rmdir(limited.c_str()) == 0; });
+}
+
+/// Too many to be served within the kernel's limit: those that have waited for half of it do not take the CPUs.
+void share_of_a_crowd() {
+  constexpr int kThreads = 800;
+  const auto cpus = static_cast<std::uint32_t>(sysconf(_SC_NPROCESSORS_ONLN));
+  World world(cpus, kCpu);
+  for (std::uint32_t i = 0; i < cpus; ++i) world.rows[i].cpu = i;
+  world.put_rows();
+  world.load({"--timeout-ms", "4000"});
+  std::vector<std::atomic<double>> got(cpus);
+  std::atomic<bool> stop{false};
+  double share = 0;
+  int made = 0;
+  std::uint64_t rescued = 0;
+  {
+    Bomb bomb(kThreads, "");
+    made = bomb.made();
+    std::vector<std::unique_ptr<XNodeThread>> spinners;
+    for (std::uint32_t i = 0; i < cpus; ++i)
+      spinners.push_back(std::make_unique<XNodeThread>(world, i, [&, i](const kernel::ThreadSlot&) {
+        while (!stop) got[i] = cpu_seconds();
+      }));
+    bomb.go();
+    sleep_ms(2300);
+    const auto sum = [&] { return std::accumulate(got.begin(), got.end(), 0.0); };
+    const double before = sum();
+    const std::uint64_t floor = world.stat(XAUTO_BPF_STAT_FLOOR);
+    const auto begin = Clock::now();
+    sleep_ms(1200);
+    share = (sum() - before) / (seconds(Clock::now() - begin) * cpus);
+    rescued = world.stat(XAUTO_BPF_STAT_FLOOR) - floor;
+    stop = true;
+  }
+  ktap_test(
+      made == kThreads && share > 0.6,
+      "XNodes have %.0f %% of the CPUs where %d threads of a stranger's have waited for long (%d "
+      "turns)",
+      share * 100, made, static_cast<int>(rescued));
 }
 
 // ---- kernel threads -----------------------------------------------------------------------------
@@ -569,11 +831,15 @@ const Test kTests[] = {
     {"runs_elsewhere", 2, runs_elsewhere},
     {"pid_namespace", 1, pid_namespace},
     {"cpu_max", 2, cpu_max},
+    {"deep_groups", 1, deep_groups},
+    {"many_groups", 1, many_groups},
+    {"fork_bomb", 2, fork_bomb},
     {"kernel_hog", 1, kernel_hog},
     {"nice_kernel_thread", 1, nice_kernel_thread},
     {"dumped", 1, dumped},
     {"hotplug", 3, hotplug},
     {"loaded_meanwhile", 1, loaded_meanwhile},
+    {"share_of_a_crowd", 1, share_of_a_crowd},
     {"second_app", 4, second_app, true},
     {"clusters", 1, clusters},
     {"crowd", 2, crowd, true},
@@ -584,5 +850,6 @@ const Test kTests[] = {
 
 int main(int argc, char** argv) {
   if (argc > 2) xauto::test::g_loads = std::max(1, atoi(argv[2]));
+  if (argc > 3) xauto::test::g_bomb = std::max(1, atoi(argv[3]));
   return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }
