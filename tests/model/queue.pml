@@ -633,7 +633,7 @@ end:	do
 			if
 			:: own[o].n_votes == 0
 			:: own[o].n_votes > 0 -> own[o].due = !own[o].cancelled /* fed */
-			:: own[o].n_votes > 0 && own[o].in_table -> own[o].bitten = true; own[o].promised = false; claim_queue_end(o, false)
+			:: own[o].n_votes > 0 && own[o].in_table -> atomic { own[o].bitten = true; own[o].promised = false /* no more, from here on */ } claim_queue_end(o, false)
 			fi;
 			unlock_o(o);
 			own[o].biting = false
