@@ -9,6 +9,7 @@
 #include <string>
 #include <utility>
 
+#include <xauto/rate.h>
 #include <xauto/result.h>
 #include <xauto/run.h>
 #include <xauto/source.h>
@@ -51,6 +52,15 @@ class App {
         [make = std::move(make)](std::uint64_t sequence, detail::MessageMemory* memory) mutable {
           return detail::make_message<T>(memory, [&]() -> T { return make(sequence); });
         });
+    return *this;
+  }
+
+  /// The same of a sensor whose rate is no whole number of microseconds: 30_hz, 29.97_hz
+  /// (xauto::literals). app.json then says so, exactly.
+  template <class T, class Make>
+  App& add_source(const Topic<T>& topic, Rate rate, Make make) {
+    add_source(topic, std::chrono::microseconds(1), std::move(make));
+    set_source_rate(rate);
     return *this;
   }
 
@@ -134,6 +144,7 @@ class App {
   void add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
                        detail::Make make);
   void mark_source_spec(detail::Judge urgent);  ///< of the source that was added last
+  void set_source_rate(Rate rate);              ///< likewise
   [[nodiscard]] std::shared_ptr<detail::Inlet> add_inlet(detail::TopicHandle topic,
                                                          std::chrono::microseconds distance);
   void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);

@@ -9,6 +9,7 @@
 #include <type_traits>
 #include <utility>
 
+#include <xauto/rate.h>
 #include <xauto/topic.h>
 #include <xauto/xnode.h>
 
@@ -39,6 +40,7 @@ void set_optional(XModuleSpec& module);
 using OnMiss = std::function<void(std::uint64_t sequence, std::chrono::nanoseconds late)>;
 void set_on_miss(XModuleSpec& module, OnMiss callback);
 void set_timer(XModuleSpec& module, std::chrono::microseconds period);
+void set_timer(XModuleSpec& module, Rate rate);
 
 }  // namespace detail
 
@@ -123,6 +125,11 @@ class XModule {
   /// clock. Input topics are waited for as well; sample what is not to be waited for.
   XModule& every(std::chrono::microseconds period) {
     detail::set_timer(*spec_, period);
+    return *this;
+  }
+  /// The same at a rate: every(30_hz).
+  XModule& every(Rate rate) {
+    detail::set_timer(*spec_, rate);
     return *this;
   }
 

@@ -47,7 +47,10 @@ void App::add_module_spec(std::shared_ptr<detail::XModuleSpec> spec) {
 }
 void App::add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
                           detail::Make make) {
-  data_->spec.sources.push_back({*topic, period, std::move(make)});
+  data_->spec.sources.push_back({*topic, {period.count()}, std::move(make)});
+}
+void App::set_source_rate(Rate rate) {
+  data_->spec.sources.back().period = detail::period_of(rate);
 }
 void App::mark_source_spec(detail::Judge urgent) {
   data_->spec.sources.back().urgent = std::move(urgent);
@@ -56,7 +59,7 @@ std::shared_ptr<detail::Inlet> App::add_inlet(detail::TopicHandle topic,
                                               std::chrono::microseconds distance) {
   auto inlet = std::make_shared<detail::Inlet>(
       topic->name, std::min<std::int64_t>(distance.count(), kMaxPeriodUs) * 1000);
-  data_->spec.sources.push_back({*topic, distance, nullptr, inlet});
+  data_->spec.sources.push_back({*topic, {distance.count()}, nullptr, inlet});
   return inlet;
 }
 void App::add_observer_spec(detail::TopicHandle topic, detail::Observe observe) {

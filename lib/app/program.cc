@@ -93,7 +93,7 @@ void print_help(const detail::AppSpecErased& app, const char* program) {
   for (const auto& module : app.modules) add(modules, module->name);
   for (const detail::SourceSpec& source : app.sources)
     add(sources, source.topic.name + (source.inlet ? " (pushed, at most every " : " (every ") +
-                     std::to_string(source.period.count()) + " us)");
+                     source.period.text() + ")");
   std::printf(
       "%s: an app for XAuto, which schedules its stages over CPUs, GPUs and DLAs.\n\n"
       "  XModules  %s\n  sources   %s\n\n"

@@ -74,7 +74,18 @@ void set_on_miss(XModuleSpec& module, OnMiss callback) {
   module.on_miss = std::move(callback);
 }
 
+Period period_of(Rate rate) {
+  const auto period = Period::of_rate(std::to_string(rate.num) + "/" + std::to_string(rate.den));
+  return period ? *period : Period();
+}
+
 void set_timer(XModuleSpec& module, std::chrono::microseconds period) {
+  set_timer(module, Period{period.count()});
+}
+void set_timer(XModuleSpec& module, Rate rate) {
+  set_timer(module, period_of(rate));
+}
+void set_timer(XModuleSpec& module, Period period) {
   if (module.timer) {
     module.misuse.push_back("XModule '" + module.name + "' fires by the clock twice");
     return;

@@ -18,6 +18,7 @@
 #include "base/thread_safety.h"
 #include "graph/inlet.h"
 #include "model/message.h"
+#include "model/period.h"
 
 namespace xauto::detail {
 
@@ -65,14 +66,14 @@ struct XModuleSpec {
   OnMiss on_miss;                                ///< may be empty
   /// XModule::every: its topic is the last of the inputs then known; nullopt: not called.
   std::optional<TopicSpec> timer;
-  std::chrono::microseconds timer_period{};
+  Period timer_period;
   std::vector<std::string> misuse;
 };
 
 struct SourceSpec {
   TopicSpec topic;
-  std::chrono::microseconds period{};
-  Make make;                               ///< empty: it is pushed
+  Period period;  ///< not valid() where the program said one that cannot be
+  Make make;      ///< empty: it is pushed
   std::shared_ptr<Inlet> inlet = nullptr;  ///< null: it is polled
   Judge urgent = nullptr;  ///< polled: whether a message's release is; empty: none is
 };
@@ -110,6 +111,10 @@ struct AppSpecErased {
   std::vector<std::function<void()>> on_start, on_stop, on_end;
   std::shared_ptr<ModeRequests> modes = std::make_shared<ModeRequests>();
 };
+
+/// Of a rate as the program says it; not valid() where it cannot be.
+[[nodiscard]] Period period_of(Rate rate);
+void set_timer(XModuleSpec& module, Period period);
 
 /// What a module and its XNodes declare, each once, in the order of declaration.
 [[nodiscard]] std::vector<ParameterHandle> parameters_of(const XModuleSpec& module);

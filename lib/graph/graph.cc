@@ -75,12 +75,11 @@ class Builder {
       Graph::Topic& info = graph_.topics[static_cast<std::size_t>(t)];
       if (info.source >= 0) problem("topic '" + info.spec.name + "' has two sources");
       info.source = static_cast<int>(i);
-      const std::int64_t period_us = source.period.count();
-      if (period_us < 1 || period_us > kMaxPeriodUs)
+      if (!source.period.valid())
         problem("the source of topic '" + info.spec.name + "' has a period of " +
-                std::to_string(period_us) + " us; possible are 1 to " +
+                std::to_string(source.period.num) + " us; possible are 1 to " +
                 std::to_string(kMaxPeriodUs) + " us");
-      graph_.sources.push_back({info.spec.name, {period_us}});
+      graph_.sources.push_back({info.spec.name, source.period});
       graph_.sources.back().pushed = source.inlet != nullptr;
       graph_.topic_of_source.push_back(t);
       if (source.period != app_.sources.front().period) graph_.single_rate = false;

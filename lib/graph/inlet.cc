@@ -103,7 +103,7 @@ Inlets::Inlets(const AppSpecErased& app, Inlet::Keep keep) {
   for (std::size_t s = 0; s < app.sources.size(); ++s)
     if (const SourceSpec& source = app.sources[s]; source.inlet != nullptr) {
       inlets_.push_back(
-          {s, source.inlet.get(), source.topic.name, source.period.count() * std::int64_t{1000}});
+          {s, source.inlet.get(), source.topic.name, source.period.floor_us() * 1000});
       source.inlet->open(bell_, keep);
     }
 }

@@ -78,23 +78,6 @@ void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
 
 // ---- version 2 ----------------------------------------------------------------------------------
 
-Period read_period(const Reader& source) {
-  const bool period = source.has("period_us"), rate = source.has("rate_hz");
-  if (period == rate) {
-    source.refuse(period ? "has both \"period_us\" and \"rate_hz\""
-                         : "has neither \"period_us\" nor \"rate_hz\"");
-    return {};
-  }
-  if (period) return {source["period_us"].integer(1, kMaxPeriodUs)};
-  const Reader hz = source["rate_hz"];
-  const std::string text = hz.decimal();
-  if (hz.failed()) return {};
-  const auto read = Period::of_rate(text);
-  if (read) return *read;
-  hz.refuse(read.error().what, read.error().hint);
-  return {};
-}
-
 /// Clocks are those of "clocks" and those that sources name; "main" is the first. What is listed
 /// twice is refused here: validate() counts them as the app does.
 void read_clocks_and_sources(const Reader& root, AppSpec& app,
@@ -210,15 +193,7 @@ ordered_json periodic_sources_to_json(const AppSpec& app) {
   ordered_json out = ordered_json::array();
   for (const SourceSpec& s : app.sources) {
     ordered_json source = {{"name", s.name}};
-    if (s.period.den == 1) {
-      source["period_us"] = s.period.num;
-    } else {
-      const std::string rate = s.period.rate();
-      if (rate.find('/') == std::string::npos)
-        source["rate_hz"] = std::stoll(rate);
-      else
-        source["rate_hz"] = rate;
-    }
+    write_period(s.period, source);
     if (s.offset_us != 0) source["offset_us"] = s.offset_us;
     if (s.jitter_us != 0) source["jitter_us"] = s.jitter_us;
     if (s.clock != 0) source["clock"] = app.clocks[static_cast<std::size_t>(s.clock)].name;

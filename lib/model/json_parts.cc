@@ -62,12 +62,45 @@ std::vector<std::int64_t> read_series(const Reader& reader, const char* key, boo
   return times;
 }
 
+Period read_period(const Reader& source) {
+  const bool period = source.has("period_us"), rate = source.has("rate_hz");
+  if (period == rate) {
+    source.refuse(period ? "has both \"period_us\" and \"rate_hz\""
+                         : "has neither \"period_us\" nor \"rate_hz\"");
+    return {};
+  }
+  if (period) return {source["period_us"].integer(1, kMaxPeriodUs)};
+  const Reader hz = source["rate_hz"];
+  const std::string text = hz.decimal();
+  if (hz.failed()) return {};
+  const auto read = Period::of_rate(text);
+  if (read) return *read;
+  hz.refuse(read.error().what, read.error().hint);
+  return {};
+}
+
+void write_period(const Period& period, ordered_json& source) {
+  const std::string rate = period.rate();
+  if (period.den == 1)
+    source["period_us"] = period.num;
+  else if (rate.find('/') == std::string::npos)
+    source["rate_hz"] = std::stoll(rate);
+  else
+    source["rate_hz"] = rate;
+}
+
 std::vector<SourceSpec> read_sources(const Reader& root, bool profile) {
   std::vector<SourceSpec> sources;
   if (root.has("sources"))
     root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
-      sources.push_back({source["name"].text(), {source["period_us"].integer(1, kMaxPeriodUs)}});
-      if (profile && source.has("pushed")) sources.back().pushed = source["pushed"].boolean();
+      if (!profile) {
+        sources.push_back({source["name"].text(), {source["period_us"].integer(1, kMaxPeriodUs)}});
+        return;
+      }
+      sources.push_back({source["name"].text(), read_period(source)});
+      if (source.has("pushed")) sources.back().pushed = source["pushed"].boolean();
+      if (source.has("jitter_us"))
+        sources.back().jitter_us = source["jitter_us"].integer(0, kMaxPeriodUs);
     });
   return sources;
 }
@@ -97,8 +130,11 @@ void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& s
 ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
   ordered_json out = ordered_json::array();
   for (const SourceSpec& source : sources) {
-    out.push_back({{"name", source.name}, {"period_us", source.period.num}});
-    if (source.pushed) out.back()["pushed"] = true;
+    ordered_json one = {{"name", source.name}};
+    write_period(source.period, one);
+    if (source.pushed) one["pushed"] = true;
+    if (source.jitter_us != 0) one["jitter_us"] = source.jitter_us;
+    out.push_back(std::move(one));
   }
   return out;
 }

@@ -70,7 +70,11 @@ void each_chain(const Reader& x, const AppSpec& app, Each each, std::vector<char
 [[nodiscard]] std::vector<std::int64_t> read_series(const Reader& reader, const char* key,
                                                     bool required);
 
-/// "sources" of version 1, where there are any; `profile`: also whether they are pushed.
+/// "period_us" or "rate_hz", exactly one of them.
+[[nodiscard]] Period read_period(const Reader& source);
+void write_period(const Period& period, ordered_json& source);
+/// "sources" of version 1, where there are any; `profile`: rates, whether they are pushed, and how late their
+/// releases were.
 [[nodiscard]] std::vector<SourceSpec> read_sources(const Reader& root, bool profile = false);
 /// "source" of an XNode: a name, or an array of names.
 [[nodiscard]] std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources);

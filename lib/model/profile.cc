@@ -186,12 +186,48 @@ Status validate(const Profile& profile) {
   return {};
 }
 
+namespace {
+
+/// The longest way through the app where every XNode is on its fastest type: below it releases overlap.
+std::int64_t longest_way_us(const AppSpec& app) {
+  std::vector<std::int64_t> end(app.xnodes.size(), 0);
+  std::int64_t longest = 0;
+  const auto successors = app.successors();
+  for (const int v : app.topological_order()) {
+    const auto i = static_cast<std::size_t>(v);
+    const auto fastest = std::min_element(
+        app.xnodes[i].wcet_us.begin(), app.xnodes[i].wcet_us.end(),
+        [](const auto& one, const auto& other) { return one.second < other.second; });
+    if (fastest != app.xnodes[i].wcet_us.end()) end[i] += fastest->second;
+    longest = std::max(longest, end[i]);
+    for (const int next : successors[i]) {
+      std::int64_t& ready = end[static_cast<std::size_t>(next)];
+      ready = std::max(ready, end[i]);
+    }
+  }
+  return longest;
+}
+
+}  // namespace
+
+std::string why_version_2(const Profile& profile, const AppSpec& app) {
+  if (!profile.sampled.empty()) return "a module samples";
+  if (!profile.in_flight.empty()) return "a module has several activations in flight";
+  std::set<std::pair<std::int64_t, std::int64_t>> periods;
+  for (const SourceSpec& source : profile.sources)
+    periods.insert({source.period.num, source.period.den});
+  if (periods.size() > 1) return "its sources have several rates";
+  if (!profile.sources.empty() && profile.sources.front().period.floor_us() < longest_way_us(app))
+    return "a release comes before the last one can have ended";
+  return {};
+}
+
 Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from) {
   XAUTO_TRY(validate(profile));
   AppSpec app;
   app.name = profile.app;
-  app.sources = profile.sources;
-  for (SourceSpec& source : app.sources) source.pushed = false;
+  for (const SourceSpec& source : profile.sources)  // version 1 counts in whole microseconds
+    app.sources.push_back({source.name, {source.period.floor_us()}});
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {
     if (x.on.empty())
@@ -236,9 +272,21 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   }
   for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});
   XAUTO_TRY(validate(app));
-  if (profile.sampled.empty() && profile.in_flight.empty()) return app;
+  if (why_version_2(profile, app).empty()) return app;
+  for (std::size_t i = 0; i < app.sources.size(); ++i) {
+    app.sources[i].period = profile.sources[i].period;
+    app.sources[i].jitter_us = profile.sources[i].jitter_us;
+  }
   app.samples = profile.sampled;
-  XAUTO_ASSIGN(app, as_version_2(std::move(app)));
+  auto periodic = as_version_2(app);
+  if (!periodic) {
+    // Joins of several rates have no such version; what samples has no other.
+    if (!profile.sampled.empty() || !profile.in_flight.empty())
+      return tl::unexpected<Error>(std::move(periodic).error());
+    for (SourceSpec& source : app.sources) source = {source.name, {source.period.floor_us()}};
+    return app;
+  }
+  app = std::move(*periodic);
   for (ModuleSpec& module : app.modules)
     if (const auto at = profile.in_flight.find(module.name); at != profile.in_flight.end())
       module.max_in_flight = at->second;

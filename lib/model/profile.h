@@ -119,6 +119,9 @@ struct ProfileConditions {
   bool operator==(const ProfileConditions&) const = default;
 };
 
+/// How often the profiler looks how late a thread wakes that releases sensors: SourceSpec::jitter_us is twice the most.
+inline constexpr int kJitterWakeUps = 200;
+
 struct Profile {
   std::string app;
   ProfileConditions conditions;
@@ -141,9 +144,11 @@ enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
 /// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes,
 /// and the longest median. `platform` gives each
-/// instance its type. A p99 needs kP99Samples. Of version 1, which knows neither samples nor several
-/// activations in flight; where there are any, of version 2.
+/// instance its type. A p99 needs kP99Samples. Of version 1 where that says all, else of version 2; where joins
+/// of several rates have none, of version 1.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
                                      WcetFrom from);
+/// What version 1 of its app.json cannot say, or plans as if it were not so, for people; empty: nothing.
+[[nodiscard]] std::string why_version_2(const Profile& profile, const AppSpec& app);
 
 }  // namespace xauto

@@ -27,7 +27,8 @@ std::uint64_t trace_capacity(const detail::AppSpecErased& app, const Session& se
   std::int64_t fastest_us = session.period_us;
   if (fastest_us == 0)
     for (const auto& source : app.sources)
-      if (fastest_us == 0 || source.period.count() < fastest_us) fastest_us = source.period.count();
+      if (fastest_us == 0 || source.period.floor_us() < fastest_us)
+        fastest_us = source.period.floor_us();
   const double jobs_per_s = static_cast<double>(graph.nodes.size()) * 1e6 /
                             static_cast<double>(std::max<std::int64_t>(1, fastest_us));
   const double events = session.trace_keep_s * jobs_per_s * kEventsPerJob;

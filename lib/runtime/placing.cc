@@ -222,7 +222,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
     unkept.emplace_back("the sources have several periods, so releases overlap in any phase");
   } else if (session.input.empty() && !session.lockstep && !app.sources.empty()) {
     const std::int64_t period_us =
-        session.period_us > 0 ? session.period_us : app.sources.front().period.count();
+        session.period_us > 0 ? session.period_us : app.sources.front().period.floor_us();
     if (period_us < worst_us)
       log::warn(
           "releases come every {}, the worst case is {} of {}: those that overlap may take longer",

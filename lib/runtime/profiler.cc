@@ -36,6 +36,7 @@
 #include "runtime/corun.h"
 #include "runtime/input_access.h"
 #include "runtime/machine_readings.h"
+#include "runtime/priorities.h"
 #include "runtime/profile_input.h"
 #include "xpu/backend.h"
 #include "xpu/presence.h"
@@ -229,6 +230,12 @@ class Run {
     return started ? detail::call(app_.on_stop, "on_stop", app_.name) : Status();
   }
 
+  /// How late sources are released here. Any thread, before result().
+  void set_jitter_us(std::int64_t us) {
+    const Guard lock(mutex_);
+    jitter_us_ = us;
+  }
+
   /// `incomplete`: why it ended early. Any thread.
   Profile result(const std::string& incomplete) {
     const Guard lock(mutex_);
@@ -241,6 +248,8 @@ class Run {
     p.conditions.not_beside = not_beside_;
     p.margin_pct = session_.margin_pct;
     p.sources = graph_.sources;
+    for (SourceSpec& source : p.sources)
+      if (!source.pushed) source.jitter_us = jitter_us_;
     p.edges = graph_.edges;
     p.sampled = graph_.samples;
     p.in_flight = in_flight_of(graph_);
@@ -631,7 +640,26 @@ class Run {
   using Texts = std::map<std::string, std::string, std::less<>>;
   Texts beside_ XAUTO_GUARDED_BY(mutex_), not_beside_ XAUTO_GUARDED_BY(mutex_);  ///< by class
   std::vector<Reading> readings_ XAUTO_GUARDED_BY(mutex_);
+  std::int64_t jitter_us_ XAUTO_GUARDED_BY(mutex_) = 0;
 };
+
+/// Twice the most by which a thread as the releasing one (its priority, its timers) wakes too late.
+Result<std::int64_t> measure_jitter_us(const std::atomic<bool>& stop) {
+  constexpr std::int64_t kEveryNs = 5'000'000;
+  std::int64_t latest_ns = 0;
+  XAUTO_ASSIGN(std::thread thread, start_thread([&latest_ns, &stop] {
+                 rt::set_timer_slack_1ns();
+                 if (const int fifo = FifoRange::within(rt::highest_fifo()).sources; fifo > 0)
+                   (void)rt::set_fifo(fifo);
+                 const std::int64_t start_ns = now_ns();
+                 for (int i = 1; i <= kJitterWakeUps && !stop.load(); ++i) {
+                   sleep_until_ns(start_ns + i * kEveryNs);
+                   latest_ns = std::max(latest_ns, now_ns() - start_ns - i * kEveryNs);
+                 }
+               }));
+  thread.join();
+  return 2 * latest_ns / 1000 + 1;
+}
 
 }  // namespace
 
@@ -668,6 +696,8 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   if (incomplete.empty()) {
     thread.join();
     XAUTO_TRY(ended.get());
+    XAUTO_ASSIGN(const std::int64_t jitter_us, measure_jitter_us(stop));
+    shared->run.set_jitter_us(jitter_us);
     return Profiled{to_json(shared->run.result({})), false};
   }
   thread.detach();

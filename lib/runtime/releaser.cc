@@ -642,7 +642,7 @@ void Releaser::record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequ
 /// The topic of the source with the longest period.
 int Releaser::slowest_source() const {
   int slowest = -1;
-  std::chrono::microseconds longest{0};
+  Period longest;
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     if (context_.graph.topics[t].source < 0) continue;
     const auto period =

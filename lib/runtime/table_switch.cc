@@ -83,7 +83,7 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
   const Session& session = context.session;
   if (session.input.empty() && !session.lockstep && !context.app.sources.empty())
     period_ns_ = 1000 * (session.period_us > 0 ? session.period_us
-                                               : context.app.sources.front().period.count());
+                                               : context.app.sources.front().period.floor_us());
   for (const Change& change : tables_.changes)
     if (change.worst_case_us)
       longest_delay_ns_ = std::max(longest_delay_ns_, *change.worst_case_us * 1000 - period_ns_);

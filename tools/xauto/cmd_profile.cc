@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include "base/log.h"
+#include "model/asked.h"
 #include "model/json.h"
 #include "model/periodic.h"
 
@@ -27,7 +28,7 @@ struct ProfileFlags {
               machine_root, script;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
-  int app_version = 1;
+  int app_version = 0;
   bool stable = false, contended = false, audit = false;
   std::optional<Argument> repetitions_given;
   EmulationOptions emulation;
@@ -46,7 +47,8 @@ const char* conditions_of(const Profile& profile) {
 }
 
 /// Wide spreads and what became of them, and what is not there: a line each.
-std::vector<std::string> remarks(const Profile& profile, const Platform& platform) {
+std::vector<std::string> remarks(const Profile& profile, const Platform& platform, WcetFrom from) {
+  const bool of_maximum = from == WcetFrom::kMaxPlusMargin;
   std::vector<std::string> lines;
   const auto below = profile.conditions.repetitions;
   const auto remark = [&](const std::string& where, const Samples& s) {
@@ -55,20 +57,26 @@ std::vector<std::string> remarks(const Profile& profile, const Platform& platfor
     if (s.outlier)
       lines.push_back(fmt::format(
           "{}: outlier: repetition {} took {} us{}, and none of the {} after that more than twice "
-          "the median; the WCET is from the others' maximum, {} us",
+          "the median{}",
           where, s.max_at, s.max_us,
           s.outlier->count > 1 ? fmt::format(" (one of {} so long)", s.outlier->count) : "",
-          s.outlier->later_count, s.outlier->max_us));
+          s.outlier->later_count,
+          of_maximum
+              ? fmt::format("; the WCET is from the others' maximum, {} us", s.outlier->max_us)
+              : ""));
     else if (s.spread() && s.count > below)
       lines.push_back(
           fmt::format("{}: repetition {} took {} us, {:.1f} times the median, and such times came "
-                      "back within {} repetitions: the WCET is from the maximum of all",
-                      where, s.max_at, s.max_us, times, s.count));
+                      "back within {} repetitions{}",
+                      where, s.max_at, s.max_us, times, s.count,
+                      of_maximum ? ": the WCET is from the maximum of all" : ""));
     else if (s.spread())
-      lines.push_back(fmt::format(
-          "{}: repetition {} of {} took {} us, {:.1f} times the median, and becomes the WCET; "
-          "--stable repeats until it is seen whether that comes back",
-          where, s.max_at, s.count, s.max_us, times));
+      lines.push_back(
+          fmt::format("{}: repetition {} of {} took {} us, {:.1f} times the median, {}; --stable "
+                      "repeats until it "
+                      "is seen whether that comes back",
+                      where, s.max_at, s.count, s.max_us, times,
+                      of_maximum ? "and becomes the WCET" : "and is longer than the WCET says"));
     if (!profile.incomplete.empty() && s.count < below)
       lines.push_back(fmt::format("{}: {} of {} repetitions", where, s.count, below));
   };
@@ -101,11 +109,12 @@ void each_row(const Profile& profile, const Platform& platform, Row row) {
 }
 
 /// Of all co-run classes together.
-std::int64_t wcet(const XNodeProfile& x, const std::string& xpu, std::int64_t margin_pct) {
-  std::int64_t us = statistic(x.on.at(xpu), WcetFrom::kMaxPlusMargin, margin_pct);
+std::int64_t wcet(const XNodeProfile& x, const std::string& xpu, std::int64_t margin_pct,
+                  WcetFrom from) {
+  std::int64_t us = statistic(x.on.at(xpu), from, margin_pct);
   for (const auto& [type, on] : x.beside)
     if (const auto at = on.find(xpu); at != on.end())
-      us = std::max(us, statistic(at->second, WcetFrom::kMaxPlusMargin, margin_pct));
+      us = std::max(us, statistic(at->second, from, margin_pct));
   return us;
 }
 
@@ -219,7 +228,15 @@ Profile with_variants(Profile profile) {
   return profile;
 }
 
-std::string table(const Profile& measured, const Platform& platform) {
+/// What becomes the WCET.
+std::string words_of(WcetFrom from, std::int64_t margin_pct, bool contended) {
+  const char* const of = contended ? " of all co-run classes" : "";
+  if (from == WcetFrom::kMaxPlusMargin) return fmt::format("max{} + {} %", of, margin_pct);
+  return fmt::format("the longest {}{}, as --from says: jobs may take longer",
+                     from == WcetFrom::kP50 ? "median" : "p99", of);
+}
+
+std::string table(const Profile& measured, const Platform& platform, WcetFrom from) {
   const Profile profile = with_variants(measured);
   std::string out =
       fmt::format("{} on {}{}: execution times in us, {} repetitions after {} warm-up\n\n",
@@ -233,16 +250,23 @@ std::string table(const Profile& measured, const Platform& platform) {
              out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}{}\n", title, xpu,
                                 s.min_us, s.p50_us,
                                 s.count < kP99Samples ? "-" : std::to_string(s.p99_us), s.max_us,
-                                wcet(x, xpu, profile.margin_pct), s.count,
+                                wcet(x, xpu, profile.margin_pct, from), s.count,
                                 profile.conditions.emulated && !s.emulated ? "  real" : "");
            });
   const bool contended =
       !profile.conditions.beside.empty() || !profile.conditions.not_beside.empty();
-  out += fmt::format("\n  WCET: max{} + {} %\n", contended ? " of all co-run classes" : "",
-                     profile.margin_pct);
+  out += fmt::format("\n  WCET: {}\n", words_of(from, profile.margin_pct, contended));
+  for (const SourceSpec& source : profile.sources)
+    if (source.jitter_us > 0) {
+      out += fmt::format(
+          "  jitter_us: {}, twice the latest of {} wake-ups of a thread that releases nothing; a "
+          "measurement of an idle app, not a bound\n",
+          source.jitter_us, kJitterWakeUps);
+      break;
+    }
   if (contended) out += contention_table(profile, platform);
   if (is_audited(profile)) out += audit_table(profile, platform);
-  for (const std::string& line : remarks(profile, platform)) out += "  " + line + "\n";
+  for (const std::string& line : remarks(profile, platform, from)) out += "  " + line + "\n";
   if (!profile.incomplete.empty()) out += "  incomplete: " + profile.incomplete + "\n";
   return out;
 }
@@ -357,6 +381,69 @@ Result<int> merge(const ProfileFlags& flags, const Options& options) {
   return outputs.status(kDone);
 }
 
+/// A source whose period is a rate's, cut to whole microseconds: then the plan of all sources repeats after hours.
+void warn_of_cut_rates(const AppSpec& app, const std::string& path) {
+  for (const SourceSpec& source : app.sources) {
+    const std::int64_t us = source.period.num;
+    if (app.version == 1 || source.period.den != 1 || us < 2 || us > 1'000'000 ||
+        1'000'000 % us == 0)
+      continue;
+    const std::int64_t hz = (1'000'000 + us / 2) / us;
+    if (us != 1'000'000 / hz && us != 1'000'000 / hz + 1) continue;
+    log::warn(
+        "{}: source '{}' has period_us {}, and {} Hz is none of whole us: with other rates the "
+        "plan then repeats "
+        "after hours; say {}_hz in the program, or rate_hz {} here",
+        path, source.name, us, hz, hz, hz);
+  }
+}
+
+Status write_app(const ProfileFlags& flags, const Profile& profile, const Platform& platform,
+                 Outputs& outputs) {
+  const std::string& path = flags.app_out;
+  if (!profile.incomplete.empty()) {
+    log::error("{} is not written: the profile is incomplete", path);
+    return {};
+  }
+  XAUTO_ASSIGN(AppSpec app, to_app(profile, platform, from_of(flags)));
+  const std::string why = why_version_2(profile, app);
+  if (flags.app_version == 1 && app.version == 2)
+    return fail(ErrorCode::kInvalid, why + ", which version 1 cannot say", "--app-version 1",
+                "leave it out");
+  if (app.version == 1 && (flags.app_version == 2 || !why.empty())) {
+    AppSpec exact = app;
+    for (std::size_t i = 0; i < exact.sources.size(); ++i) {
+      exact.sources[i].period = profile.sources[i].period;
+      exact.sources[i].jitter_us = profile.sources[i].jitter_us;
+    }
+    if (auto periodic = as_version_2(std::move(exact)))
+      app = std::move(*periodic);
+    else
+      log::warn("{} is of version 1: {}", path, periodic.error().to_string());
+  }
+  if (app.version == 2 && !why.empty())
+    log::info("{} is of version 2, releases on and on: {}", path, why);
+  std::string text = to_json(app);
+  if (const auto old = read_file(path)) {
+    std::vector<std::string> lines;
+    XAUTO_ASSIGN(text, with_what_was_asked(app, *old, path, lines));
+    for (const std::string& line : lines) log::info("{}: {}", path, line);
+    XAUTO_ASSIGN(app, parse_app(text, path));
+  }
+  if (app.version == 2)
+    for (const SourceSpec& source : profile.sources)
+      if (source.pushed)
+        log::warn(
+            "{}: source '{}' is pushed, and its grid was not measured: period_us {} is the "
+            "least distance that the app states, offset_us and jitter_us are taken as 0; a "
+            "worst case holds only if release k comes at offset + k period, at most jitter "
+            "later: write there what the driver does",
+            path, source.name, source.period.num);
+  warn_of_cut_rates(app, path);
+  outputs.write(path, text);
+  return {};
+}
+
 Result<int> profile(const ProfileFlags& given, const Options& options) {
   ProfileFlags flags = given;
   if (!flags.merge.empty()) return merge(flags, options);
@@ -379,35 +466,14 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
   const std::string text = to_json(*result);
   if (options.json) {
     std::cout << text;
-    for (const std::string& line : remarks(with_variants(*result), platform)) log::warn("{}", line);
+    for (const std::string& line : remarks(with_variants(*result), platform, from_of(flags)))
+      log::warn("{}", line);
   } else {
-    std::cout << table(*result, platform);
+    std::cout << table(*result, platform, from_of(flags));
   }
   if (const std::string changed = changes(*result); !changed.empty()) log::warn("{}", changed);
   outputs.write(flags.out, text);
-  if (!flags.app_out.empty()) {
-    auto app = to_app(*result, platform, from_of(flags));
-    if (app && flags.app_version == 2) {
-      if (auto periodic = as_version_2(*app)) {
-        app = std::move(periodic);
-        for (const SourceSpec& source : result->sources)
-          if (source.pushed)
-            log::warn(
-                "{}: source '{}' is pushed, and its grid was not measured: period_us {} is the "
-                "least distance that the app states, offset_us and jitter_us are taken as 0; a "
-                "worst case holds only if release k comes at offset + k period, at most jitter "
-                "later: write there what the driver does",
-                flags.app_out, source.name, source.period.num);
-      } else
-        log::warn("{} is of version 1: {}", flags.app_out, periodic.error().to_string());
-    }
-    if (app)
-      outputs.write(flags.app_out, to_json(*app));
-    else if (result->incomplete.empty())
-      return tl::unexpected<Error>(app.error());
-    else
-      log::error("{} is not written: {}", flags.app_out, app.error().to_string());
-  }
+  if (!flags.app_out.empty()) XAUTO_TRY(write_app(flags, *result, platform, outputs));
   const std::vector<std::string> found = findings(with_variants(*result));
   for (const std::string& line : found) log::error("{}", line);
   if (result->incomplete.empty()) return outputs.status(found.empty() ? kDone : kAnswerIsNo);
@@ -450,10 +516,10 @@ void add_profile(Commands& commands) {
   verb.option("--out", flags->out, "write profile.json here");
   verb.option("--app-out", flags->app_out, "write the app.json that follows here");
   verb.option("--app-version", flags->app_version,
-              "of that app.json: 1, one release, which solve and run take; 2, releases on and on, "
-              "where each part that edges join has one period")
-      .range(1, 2)
-      .shown();
+              "of that app.json: 1, one release; 2, releases on and on, where each part that edges "
+              "join has one "
+              "period; default: 1 where that says all")
+      .range(1, 2);
   verb.flag(
       "--contended", flags->contended,
       "once more beside a load of each type of XPU, the memory of which all share: the WCET is "
