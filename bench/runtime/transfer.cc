@@ -72,7 +72,8 @@ void size(const Options& options, Table& table, const std::string& name) {
   }
   {
     reset();
-    const detail::TopicSpec spec = *detail::topic_spec(Topic<Message>("t"));
+    detail::TopicSpec spec = *detail::make_topic("t", typeid(Message));
+    detail::set_plain_bytes(spec, sizeof(Message));  // apps have Buffers for the largest of them
     const auto fds = transport::make_topic({Bytes, 1, 8, 8});
     OneDoorbell ringer(shared->doorbell);
     const auto publisher =

@@ -24,6 +24,10 @@ namespace xauto {
 template <class T>
 struct Interface;  // of types made from .msg and .idl files, see xauto/cdr.h
 
+/// The largest `sizeof` of a message. Functions take and return messages, so one is on a thread's stack
+/// now and then. What is in a std::vector, or in a Buffer, does not count.
+inline constexpr std::size_t kMaxMessageSize = std::size_t{1} << 20;
+
 /// A name and a message type. A value: copies name the same topic. Two modules that use one name
 /// with two types are refused when the App is built.
 template <class T>
@@ -31,7 +35,12 @@ class Topic {
  public:
   using Message = T;  ///< what travels on it
   /// `name` is the topic's; two topics of one name are the same topic.
-  explicit Topic(std::string name) : name_(std::move(name)) {}
+  explicit Topic(std::string name) : name_(std::move(name)) {
+    // Nothing takes or holds messages without their topic.
+    static_assert(sizeof(T) <= kMaxMessageSize,
+                  "a message of more than xauto::kMaxMessageSize bytes does not fit on a stack: put "
+                  "them into an xauto::Buffer (xauto::Buffered<Info>), or into a std::vector");
+  }
   /// As given.
   [[nodiscard]] const std::string& name() const { return name_; }
 

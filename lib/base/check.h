@@ -3,14 +3,15 @@
 // suspended is resumed by the kernel module or the emulator when its descriptors close.
 #pragma once
 
-#include <cstdio>
-#include <cstdlib>
+namespace xauto {
 
-#define XAUTO_CHECK(condition)                                                          \
-  do {                                                                                  \
-    if (!(condition)) [[unlikely]] {                                                    \
-      std::fprintf(stderr, "xauto: bug: %s:%d: %s does not hold\n", __FILE__, __LINE__, \
-                   #condition);                                                         \
-      std::abort();                                                                     \
-    }                                                                                   \
+/// Says so, whoever reads it, and aborts. In log.cc.
+[[noreturn]] void die_of_bug(const char* file, int line, const char* condition);
+
+}  // namespace xauto
+
+#define XAUTO_CHECK(condition)                             \
+  do {                                                     \
+    if (!(condition)) [[unlikely]]                         \
+      ::xauto::die_of_bug(__FILE__, __LINE__, #condition); \
   } while (false)

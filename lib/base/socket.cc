@@ -9,8 +9,10 @@
 #include <fstream>
 #include <sstream>
 
+#include <fcntl.h>
 #include <poll.h>
 #include <sys/socket.h>
+#include <sys/uio.h>
 #include <sys/un.h>
 #include <unistd.h>
 
@@ -46,35 +48,76 @@ Result<UniqueFd> listen_abstract(const std::string& address) {
   if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), address);
   if (bind(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0 ||
       listen(socket.get(), 64) != 0)
-    return fail(ErrorCode::kIo, errno_text("cannot listen"), address);
+    return fail(errno == EADDRINUSE ? ErrorCode::kUnavailable : ErrorCode::kIo,
+                errno_text("cannot listen"), address);
   return socket;
 }
 
-Result<UniqueFd> connect_abstract(const std::string& address) {
+namespace {
+
+/// `timeout_ms` 0: does not wait.
+Result<UniqueFd> connect_within(const std::string& address, int timeout_ms) {
   sockaddr_un name;
   XAUTO_ASSIGN(const socklen_t length, fill(name, address));
-  UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
+  UniqueFd socket(
+      ::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | (timeout_ms == 0 ? SOCK_NONBLOCK : 0), 0));
   if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), address);
-  if (connect(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0)
-    return fail(ErrorCode::kUnavailable, errno_text("cannot connect"), address,
-                "is the process that serves it still running? see `xauto status`");
+  const std::int64_t until = now_ns() + std::int64_t{timeout_ms} * 1'000'000;
+  for (;;) {
+    // The kernel lets connect() wait for as long as send() may; 0 would be for ever.
+    const std::int64_t left_us = std::max<std::int64_t>(1, (until - now_ns()) / 1000);
+    const timeval limit{left_us / 1'000'000, left_us % 1'000'000};
+    setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);
+    if (connect(socket.get(), reinterpret_cast<sockaddr*>(&name), length) == 0) break;
+    if (errno == EAGAIN)
+      return fail(ErrorCode::kTimeout, "does not accept connections: its queue is full", address);
+    if (errno != EINTR)
+      return fail(ErrorCode::kUnavailable, errno_text("cannot connect"), address,
+                  "is the process that serves it still running? see `xauto status`");
+  }
+  constexpr timeval kNone{};
+  setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &kNone, sizeof kNone);
+  if (timeout_ms == 0) fcntl(socket.get(), F_SETFL, 0);
   return socket;
+}
+
+}  // namespace
+
+Result<UniqueFd> connect_to_anybody(const std::string& address) {
+  return connect_within(address, 0);
+}
+
+Result<UniqueFd> connect_abstract(const std::string& address, int timeout_ms) {
+  XAUTO_ASSIGN(UniqueFd socket, connect_within(address, timeout_ms));
+  XAUTO_ASSIGN(const Peer server, peer_of(socket.get()));
+  if (server.uid != geteuid() && server.uid != 0)
+    return fail(ErrorCode::kPermission,
+                "is served by uid " + std::to_string(server.uid) + ", pid " +
+                    std::to_string(server.pid) + ": neither this user nor root",
+                address);
+  return socket;
+}
+
+Result<Peer> peer_of(int socket) {
+  ucred who{};
+  socklen_t length = sizeof who;
+  if (getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &who, &length) != 0)
+    return fail(ErrorCode::kIo, errno_text("SO_PEERCRED"));
+  return Peer{who.uid, who.pid};
 }
 
 Result<UniqueFd> accept_own(int listener) {
   UniqueFd peer(accept4(listener, nullptr, nullptr, SOCK_CLOEXEC));
   if (!peer) return fail(ErrorCode::kIo, errno_text("accept"));
-  ucred who{};
-  socklen_t length = sizeof who;
-  if (getsockopt(peer.get(), SOL_SOCKET, SO_PEERCRED, &who, &length) != 0)
-    return fail(ErrorCode::kIo, errno_text("SO_PEERCRED"));
+  XAUTO_ASSIGN(const Peer who, peer_of(peer.get()));
   if (who.uid != geteuid() && who.uid != 0)
     return fail(ErrorCode::kPermission, "refused a connection of uid " + std::to_string(who.uid) +
                                             ", pid " + std::to_string(who.pid));
   return peer;
 }
 
-Status send_packet(int socket, const void* data, std::size_t bytes, const std::vector<int>& fds) {
+Status send_packet(int socket, const void* data, std::size_t bytes, const std::vector<int>& fds,
+                   IfFull if_full) {
   iovec part{const_cast<void*>(data), bytes};
   msghdr message{};
   message.msg_iov = &part;
@@ -92,8 +135,10 @@ Status send_packet(int socket, const void* data, std::size_t bytes, const std::v
   }
   ssize_t sent;
   do {
-    sent = sendmsg(socket, &message, MSG_NOSIGNAL);
+    sent = sendmsg(socket, &message, MSG_NOSIGNAL | (if_full == IfFull::kFail ? MSG_DONTWAIT : 0));
   } while (sent < 0 && errno == EINTR);
+  if (sent < 0 && errno == EAGAIN)
+    return fail(ErrorCode::kTimeout, "cannot send: the peer does not read");
   if (sent < 0) return fail(ErrorCode::kUnavailable, errno_text("cannot send"));
   return {};
 }
@@ -115,8 +160,10 @@ Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
   message.msg_iov = &part;
   message.msg_iovlen = 1;
   alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int) * kMaxPassedFds)] = {};
-  message.msg_control = control;
-  message.msg_controllen = sizeof control;
+  if (fds != nullptr) {
+    message.msg_control = control;
+    message.msg_controllen = sizeof control;
+  }
   ssize_t received;
   do {
     received = recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
@@ -137,6 +184,8 @@ Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
   if (received == 0) return fail(ErrorCode::kUnavailable, "the peer closed the connection");
   if ((message.msg_flags & MSG_TRUNC) != 0)
     return fail(ErrorCode::kInvalid, "packet is longer than " + std::to_string(bytes) + " bytes");
+  if ((message.msg_flags & MSG_CTRUNC) != 0 && fds == nullptr)
+    return fail(ErrorCode::kInvalid, "a packet brings descriptors that nobody has asked for");
   // More than we read, or more than this process may have open.
   if ((message.msg_flags & MSG_CTRUNC) != 0)
     return fail(ErrorCode::kUnavailable, "not all file descriptors of a packet could be taken", "",
@@ -152,8 +201,10 @@ void signal_eventfd(int fd) {
 }
 
 void drain_eventfd(int fd) {
+  // O_NONBLOCK is of the open file, and whoever has it, too, may have taken that back.
   std::uint64_t count;
-  [[maybe_unused]] const ssize_t got = read(fd, &count, sizeof count);  // empty: nothing to drain
+  const iovec part{&count, sizeof count};
+  [[maybe_unused]] const ssize_t got = preadv2(fd, &part, 1, -1, RWF_NOWAIT);  // empty: nothing
 }
 
 std::vector<std::string> abstract_sockets(const std::string& prefix) {

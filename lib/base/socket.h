@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Abstract AF_UNIX sockets, one packet per message, with descriptor passing. Abstract: nothing is
-// left in the file system however a process ends. Peers are checked by uid (SO_PEERCRED), since an
-// abstract name has no permissions of its own.
+// left in the file system however a process ends. An abstract name has no permissions of its own, and
+// anybody may listen at one: both ends ask the kernel who the other one is (SO_PEERCRED).
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -17,15 +18,30 @@
 namespace xauto {
 
 /// `address`: without the leading NUL, at most 100 bytes.
+/// kUnavailable: somebody has it.
 [[nodiscard]] Result<UniqueFd> listen_abstract(const std::string& address);
-[[nodiscard]] Result<UniqueFd> connect_abstract(const std::string& address);
+/// Our own user or root must serve it, else kPermission. Waits at most `timeout_ms` for a place in the
+/// server's queue, which whoever does not accept leaves full.
+[[nodiscard]] Result<UniqueFd> connect_abstract(const std::string& address,
+                                                int timeout_ms = 10'000);
+/// Whoever serves it: ask peer_of. Does not wait: kTimeout if the queue is full.
+[[nodiscard]] Result<UniqueFd> connect_to_anybody(const std::string& address);
+/// Who has accepted, and of a connecting end who listens: at the time when they did.
+struct Peer {
+  uid_t uid;
+  pid_t pid;  ///< 0: in a PID namespace that is not seen from here
+};
+[[nodiscard]] Result<Peer> peer_of(int socket);
 /// Accepts one connection of our own user or of root; others are closed and give kPermission.
 [[nodiscard]] Result<UniqueFd> accept_own(int listener);
 
+enum class IfFull : std::uint8_t { kFail, kWait };
+/// A peer that does not read may not make us wait: then kTimeout. Unless all is lost without it.
 [[nodiscard]] Status send_packet(int socket, const void* data, std::size_t bytes,
-                                 const std::vector<int>& fds = {});
+                                 const std::vector<int>& fds = {}, IfFull if_full = IfFull::kFail);
 /// Waits for one packet of at most `bytes` and returns its size; a longer one is kInvalid, a closed
-/// peer kUnavailable. Descriptors beyond kMaxPassedFds are refused.
+/// peer kUnavailable. Descriptors beyond kMaxPassedFds are refused, and all where `fds` is null:
+/// they never become ours, since to close one may wait for a stranger (of FUSE, say).
 [[nodiscard]] Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
                                                  std::vector<UniqueFd>* fds = nullptr);
 inline constexpr std::size_t kMaxPassedFds = 66;  ///< a topic of 64 readers (shm_topic.h)

@@ -37,16 +37,16 @@ inline std::string valid_utf8(std::string_view text) {
 }
 
 /// As `\x1b`, what a terminal might obey: control characters (C0 but for new line and tab, DEL, C1), and
-/// bytes that belong to no character.
-inline std::string for_terminal(std::string_view text) {
+/// bytes that belong to no character. `lines` false: new line and tab, too.
+inline std::string for_terminal(std::string_view text, bool lines = true) {
   static constexpr char kHex[] = "0123456789abcdef";
   std::string out;
   out.reserve(text.size());
   while (!text.empty()) {
     const std::size_t length = utf8_length(text);
     const auto first = static_cast<unsigned char>(text[0]);
-    const bool c0 =
-        length == 1 && (first == 0x7f || (first < 0x20 && first != '\n' && first != '\t'));
+    const bool layout = lines && (first == '\n' || first == '\t');
+    const bool c0 = length == 1 && (first == 0x7f || (first < 0x20 && !layout));
     const bool c1 = length == 2 && first == 0xc2 && static_cast<unsigned char>(text[1]) < 0xa0;
     const std::size_t taken = length == 0 ? 1 : length;
     if (length == 0 || c0 || c1) {

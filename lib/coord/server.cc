@@ -29,7 +29,7 @@ constexpr int kWorkersReturnMs = 2'000, kWorkersReturnRounds = 10;
 
 }  // namespace
 
-Server::Server(ServerOptions options) : options_(std::move(options)) {}
+Server::Server(ServerOptions options) : options_(std::move(options)), refusals_(options_.xpu) {}
 
 Server::~Server() {
   if (shm_.header != nullptr) munmap(shm_.header, bytes_);
@@ -167,11 +167,12 @@ Status Server::run(int stop_fd) {
 void Server::accept_connection() {
   auto peer = accept_own(listener_.get());
   if (!peer) {
-    log::warn("{}: {}", options_.xpu, peer.error().what);
+    refusals_.tell(peer.error().what, now_ns());
     return;
   }
   if (!adopt_connection(std::move(*peer)))
-    log::warn("{}: refused a connection: {} are open", options_.xpu, connections_.size());
+    refusals_.tell("refused a connection: " + std::to_string(connections_.size()) + " are open",
+                   now_ns());
 }
 
 bool Server::adopt_connection(UniqueFd socket) {
@@ -208,7 +209,7 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
     Refused refused;
     std::strncpy(refused.reason, reason, sizeof refused.reason - 1);
     (void)send_packet(connection.socket.get(), &refused, sizeof refused);
-    log::warn("{}: refused a worker: {}", options_.xpu, reason);
+    refusals_.tell(std::string("refused a worker: ") + reason, now_ns());
     return false;
   };
   Hello hello;

@@ -14,6 +14,7 @@
 
 #include <xauto/result.h>
 
+#include "base/log.h"
 #include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
@@ -97,6 +98,7 @@ class Server {
   std::int64_t absent_until_ns_ = 0;       ///< 0: everybody of our predecessor's is back
   int absent_rounds_ = 0;                  ///< of the event loop that are left to come back in
   std::uint64_t looks_ = 0;
+  log::Refusals refusals_;
 };
 
 }  // namespace xauto::coord

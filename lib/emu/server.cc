@@ -171,15 +171,13 @@ void Server::arm() {
 void Server::accept_connection() {
   auto peer = accept_own(listener_.get());
   if (!peer) {
-    log::warn("emud: {}", peer.error().what);
+    refusals_.tell(peer.error().what, now_ns());
     return;
   }
   if (connections_.size() >= kMaxConnections) return;
   const int fd = peer->get();
-  ucred who{};
-  socklen_t length = sizeof who;
-  if (getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &who, &length) != 0) return;
-  if (watch(epoll_.get(), fd)) connections_[fd] = {std::move(*peer), who.pid};
+  const auto who = peer_of(fd);
+  if (who && watch(epoll_.get(), fd)) connections_[fd] = {std::move(*peer), who->pid};
 }
 
 void Server::drop(int fd) {

@@ -18,6 +18,7 @@
 
 #include <xauto/result.h>
 
+#include "base/log.h"
 #include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "emu/machine.h"
@@ -106,6 +107,7 @@ class Server {
   std::vector<Answer> outbox_;  ///< goes out when the memory has caught up
   std::vector<int> broken_;     ///< could not be written to; dropped after the current event
   std::vector<Event> events_;
+  log::Refusals refusals_{"emud"};
 };
 
 }  // namespace xauto::emu

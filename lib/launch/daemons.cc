@@ -2,7 +2,6 @@
 #include "launch/daemons.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cerrno>
 #include <cstring>
 
@@ -56,9 +55,12 @@ Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
 
 }  // namespace
 
-std::string next_base() {
-  static std::atomic<int> runs{0};
-  return kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
+std::vector<std::string> socket_names(const runtime::Session& session) {
+  std::vector<std::string> names;
+  if (session.emulates()) names.emplace_back(kEmudName);
+  if (session.mode == runtime::Mode::kRun && session.scheduling == runtime::Scheduling::kXAuto)
+    for (const Xpu& xpu : session.platform.xpus) names.push_back(xpu.id);
+  return names;
 }
 
 /// What outlives it goes to it as arguments.
@@ -71,7 +73,8 @@ void Daemons::Daemon::hand_over(std::initializer_list<const char*> flags) {
   }
 }
 
-Status Daemons::start_emulator(const runtime::Session& session, const EmulationScript& script) {
+Status Daemons::start_emulator(const runtime::Session& session, Sockets& sockets,
+                               const EmulationScript& script) {
   thread_.check();
   if (!session.emulates()) return {};
   Platform emulated{session.platform.name, {}};
@@ -81,10 +84,10 @@ Status Daemons::start_emulator(const runtime::Session& session, const EmulationS
       emulated.xpus.push_back(session.platform.xpus[x]);
   XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
   XAUTO_TRY(write_memory_file(platform_.get(), to_json(emulated)));
-  emulator_ = base_ + kEmudName;
+  emulator_ = sockets.address(kEmudName);
   Daemon daemon;
   daemon.name = "xauto-emud";
-  XAUTO_ASSIGN(daemon.kept[0], listen_abstract(emulator_));
+  daemon.kept[0] = sockets.take(kEmudName);
   XAUTO_ASSIGN(daemon.kept[1], emu::StateMemory::make());
   daemon.options.argv = {bin_ + "/xauto-emud", "--socket", emulator_, "--platform",
                          "/proc/self/fd/" + std::to_string(platform_.get())};
@@ -103,14 +106,15 @@ Status Daemons::start_emulator(const runtime::Session& session, const EmulationS
   return {};
 }
 
-Status Daemons::start_coordinators(const runtime::Session& session, int session_fd) {
+Status Daemons::start_coordinators(const runtime::Session& session, Sockets& sockets,
+                                   int session_fd) {
   thread_.check();
   for (const auto& [xpu, address] : session.coordinators) {
     const std::string name = "xauto-coordinator of " + xpu;
     Daemon daemon;
     daemon.name = name;
     daemon.coordinator = true;
-    XAUTO_ASSIGN(daemon.kept[0], listen_abstract(address));
+    daemon.kept[0] = sockets.take(xpu);
     daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
     daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
     if (!daemon.kept[1] || !daemon.kept[2])

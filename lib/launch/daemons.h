@@ -17,6 +17,7 @@
 #include "base/process.h"
 #include "base/thread_safety.h"
 #include "launch/pulse.h"
+#include "launch/sockets.h"
 #include "model/emulation_script.h"
 #include "session/session.h"
 
@@ -25,30 +26,28 @@ namespace xauto::launch {
 /// Between SIGTERM and SIGKILL.
 inline constexpr int kGraceMs = 2'000;
 
-/// Sockets of one run are called PREFIX<pid>-<n>/<xpu>; `xauto status` finds them by this prefix.
-inline constexpr const char* kSocketPrefix = "xauto/";
-/// Last parts of socket names that are no coordinator's.
+/// Names of sockets that are no coordinator's; those have their XPUs'.
 inline constexpr const char* kHubName = "hub";
 inline constexpr const char* kEmudName = "emud";
 
-/// PREFIX<pid>-<n>/ of a run of this process that has not been.
-[[nodiscard]] std::string next_base();
+/// Of the sockets that the daemons of this session listen at.
+[[nodiscard]] std::vector<std::string> socket_names(const runtime::Session& session);
 
 /// Threads: one, which must live as long as the daemons: its end kills them.
 class Daemons {
  public:
   /// `bin`: the folder with xauto-coordinator and xauto-emud. `notes`: told there what died; for
   /// people.
-  Daemons(std::string base, std::string bin, std::vector<std::string>& notes)
-      : base_(std::move(base)), bin_(std::move(bin)), notes_(notes) {}
+  Daemons(std::string bin, std::vector<std::string>& notes) : bin_(std::move(bin)), notes_(notes) {}
 
   /// If the session emulates something. `script` without steps: there is none.
-  [[nodiscard]] Status start_emulator(const runtime::Session& session,
+  [[nodiscard]] Status start_emulator(const runtime::Session& session, Sockets& sockets,
                                       const EmulationScript& script = {});
   /// Empty: there is none.
   [[nodiscard]] const std::string& emulator() const { return emulator_; }
   /// One for each of the session's coordinators. `session_fd`: the session, to be read by them.
-  [[nodiscard]] Status start_coordinators(const runtime::Session& session, int session_fd);
+  [[nodiscard]] Status start_coordinators(const runtime::Session& session, Sockets& sockets,
+                                          int session_fd);
 
   /// Their ends show here.
   void add_to(std::vector<pollfd>& fds) const;
@@ -82,7 +81,7 @@ class Daemons {
   [[nodiscard]] bool restart(Daemon& daemon, const Exit& exit);
 
   OneThread thread_;
-  const std::string base_, bin_;
+  const std::string bin_;
   std::vector<std::string>& notes_;
   UniqueFd platform_, script_;
   std::string emulator_;

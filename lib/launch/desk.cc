@@ -9,11 +9,6 @@
 
 namespace xauto::launch {
 
-Result<std::unique_ptr<Desk>> Desk::open(const std::string& address, int board_fd) {
-  XAUTO_ASSIGN(UniqueFd listener, listen_abstract(address));
-  return std::unique_ptr<Desk>(new Desk(std::move(listener), board_fd));
-}
-
 void Desk::add_to(std::vector<pollfd>& fds) const {
   thread_.check();
   fds.push_back({listener_.get(), POLLIN, 0});
@@ -22,7 +17,8 @@ void Desk::add_to(std::vector<pollfd>& fds) const {
 
 void Desk::serve(std::int64_t now_ns) {
   thread_.check();
-  while (wait_readable(listener_.get(), 0)) {
+  constexpr int kMostAtOnce = 64;  // as many as wait: strangers could go on for ever
+  for (int i = 0; i < kMostAtOnce && wait_readable(listener_.get(), 0); ++i) {
     auto peer = accept_own(listener_.get());
     if (!peer && peer.error().code != ErrorCode::kPermission) break;
     if (!peer) continue;
@@ -43,7 +39,7 @@ bool Desk::answer(int client) {
     if (auto board = runtime::Board::steer(board_fd_)) board_ = std::move(*board);
   const std::string text =
       runtime::answer_request(std::string_view(request).substr(0, *size), board_.get());
-  (void)send_packet(client, text.data(), text.size());  // who has hung up needs no answer
+  (void)send_packet(client, text.data(), text.size());  // who does not read needs no answer
   return true;
 }
 

@@ -7,7 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <string>
+#include <utility>
 #include <vector>
 
 #include <poll.h>
@@ -27,14 +27,13 @@ class Desk {
   static constexpr std::int64_t kPatienceNs = 1'000'000'000;
 
   /// `board_fd`: the board, to be; open for writing; outlives this.
-  [[nodiscard]] static Result<std::unique_ptr<Desk>> open(const std::string& address, int board_fd);
+  Desk(UniqueFd listener, int board_fd) : listener_(std::move(listener)), board_fd_(board_fd) {}
   /// What to wait for.
   void add_to(std::vector<pollfd>& fds) const;
   /// Lets in who has come, and answers who has asked.
   void serve(std::int64_t now_ns);
 
  private:
-  Desk(UniqueFd listener, int board_fd) : listener_(std::move(listener)), board_fd_(board_fd) {}
   /// False: it stays, it has not asked yet.
   [[nodiscard]] bool answer(int client);
   struct Client {

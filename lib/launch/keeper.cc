@@ -102,19 +102,20 @@ const std::vector<std::string>& Keeper::stop() {
 /// `session` and `bin` are the starter's, until `started` is set.
 void Keeper::keep(runtime::Session& session, const std::string& bin, std::promise<Status> started) {
   rt::set_thread_name("xauto/daemons");
-  const std::string base = next_base();
-  Daemons daemons(base, bin, notes_);
+  Daemons daemons(bin, notes_);
   UniqueFd file;
   const auto begin = [&]() -> Status {
-    XAUTO_TRY(daemons.start_emulator(session));
+    XAUTO_ASSIGN(Sockets sockets, Sockets::open(socket_names(session)));
+    XAUTO_TRY(daemons.start_emulator(session, sockets));
     emulator_ = daemons.emulator();
     if (session.scheduling != runtime::Scheduling::kXAuto) return {};
     decide_cpu_by_keys(session);  // App::run has no sched_ext to ask for
-    for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base + xpu.id;
+    for (const Xpu& xpu : session.platform.xpus)
+      session.coordinators[xpu.id] = sockets.address(xpu.id);
     XAUTO_ASSIGN(file, make_memory_file("xauto-session"));
     XAUTO_ASSIGN(const std::string text, to_json(session));
     XAUTO_TRY(write_memory_file(file.get(), text));
-    return daemons.start_coordinators(session, file.get());
+    return daemons.start_coordinators(session, sockets, file.get());
   };
   Status begun = begin();
   const bool good = begun.has_value();

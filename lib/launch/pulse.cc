@@ -88,7 +88,7 @@ bool Ping::hangs(std::int64_t now_ns) {
   if (!asked_ && now_ns >= next_ns_) {
     next_ns_ = now_ns + kPingEveryNs;
     if (!socket_) {
-      if (auto connected = connect_abstract(address_)) socket_ = std::move(*connected);
+      if (auto connected = connect_abstract(address_, 0)) socket_ = std::move(*connected);
     }
     const emu::Packet ping{.op = static_cast<std::uint32_t>(emu::Op::kPing), .tag = answers_ + 1};
     asked_ = socket_ && send(socket_.get(), &ping, sizeof ping, MSG_NOSIGNAL | MSG_DONTWAIT) ==

@@ -40,6 +40,7 @@ constexpr int kDrainMs = 15'000;  ///< without progress: more than the app's own
 constexpr std::int64_t kSilenceNs = 10'000'000'000;  ///< of an app that does not begin
 constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
 
+constexpr int kMostAtOnce = 64;         ///< of those who want to look; as many as wait
 constexpr std::uint64_t kMaxDumps = 3;  ///< of misses, and of hangs
 constexpr std::int64_t kAftermathNs = 300'000'000, kBeforeNs = 1'000'000'000;  ///< what they show
 
@@ -70,9 +71,8 @@ std::vector<bool> real_xpus(const Session& session) {
 class Supervisor {
  public:
   explicit Supervisor(Supervision request) : request_(std::move(request)) {
-    base_ = next_base();
     bin_ = request_.bin.empty() ? program_directory() : request_.bin;
-    daemons_.emplace(base_, bin_, outcome_.notes);
+    daemons_.emplace(bin_, outcome_.notes);
   }
 
   Result<Outcome> run() {
@@ -100,29 +100,36 @@ class Supervisor {
       session.trace_fd = trace_.get();
       session.trace_keep_s = request_.trace_keep_s;
     }
-    XAUTO_TRY(daemons_->start_emulator(session, request_.emulation));
-    const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
-    if (session.mode == Mode::kRun) {
+    const bool runs = session.mode == Mode::kRun;
+    const bool scheduled = runs && session.scheduling == Scheduling::kXAuto;
+    const bool has_hub = runs && !session.processes.empty();
+    std::vector<std::string> names = socket_names(session);
+    if (runs) names.insert(names.end(), {kLiveName, kDeskName});
+    if (has_hub) names.emplace_back(kHubName);
+    XAUTO_ASSIGN(Sockets sockets, Sockets::open(names));
+    XAUTO_TRY(daemons_->start_emulator(session, sockets, request_.emulation));
+    if (runs) {
       board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
       if (!board_fd_)
         return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
       session.board_fd = board_fd_.get();
-      XAUTO_ASSIGN(live_, listen_abstract(base_ + kLiveName));
-      XAUTO_ASSIGN(desk_, Desk::open(base_ + kDeskName, board_fd_.get()));
-      prepare_cpus(scheduled);
+      live_ = sockets.take(kLiveName);
+      desk_.emplace(sockets.take(kDeskName), board_fd_.get());
+      prepare_cpus(sockets.run(), scheduled);
     }
     if (scheduled)
-      for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base_ + xpu.id;
+      for (const Xpu& xpu : session.platform.xpus)
+        session.coordinators[xpu.id] = sockets.address(xpu.id);
     UniqueFd hub;  // closed here once the app has it: its end must show
-    if (session.mode == Mode::kRun && !session.processes.empty()) {
-      session.hub = base_ + kHubName;
-      XAUTO_ASSIGN(hub, listen_abstract(session.hub));
+    if (has_hub) {
+      session.hub = sockets.address(kHubName);
+      hub = sockets.take(kHubName);
       session.hub_fd = hub.get();
     }
     XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
     XAUTO_ASSIGN(const std::string text, to_json(session));
     XAUTO_TRY(write_memory_file(session_.get(), text));
-    if (scheduled) XAUTO_TRY(daemons_->start_coordinators(session, session_.get()));
+    if (scheduled) XAUTO_TRY(daemons_->start_coordinators(session, sockets, session_.get()));
     SpawnOptions options;
     options.argv = request_.command;
     options.inherit = {session_.get(), answer_.get()};
@@ -180,14 +187,12 @@ class Supervisor {
   }
 
   /// The run's BPF maps and, if asked for, the sched_ext scheduler; what cannot be had is noted.
-  void prepare_cpus(bool scheduled) {
+  void prepare_cpus(const std::string& run, bool scheduled) {
     Session& session = request_.session;
-    std::string name = base_.substr(std::string(kSocketPrefix).size());
-    name.pop_back();
     std::vector<const Policy*> tables;
     for (std::size_t t = 0; scheduled && t < session.num_tables(); ++t)
       tables.push_back(&session.of_table(t));
-    cpus_ = launch::prepare_cpus({.run = name,
+    cpus_ = launch::prepare_cpus({.run = run,
                                   .bin = bin_,
                                   .app = session.app,
                                   .platform = session.platform,
@@ -259,7 +264,8 @@ class Supervisor {
       if (!process.noticed) fds.push_back({process.child.pidfd(), POLLIN, 0});
     if (desk_) desk_->add_to(fds);
     if (live_) fds.push_back({live_.get(), POLLIN, 0});
-    if (poll(fds.data(), fds.size(), 200) > 0 && live_ && fds.back().revents != 0) introduce();
+    if (poll(fds.data(), fds.size(), 200) > 0 && live_ && fds.back().revents != 0)
+      for (int i = 0; i < kMostAtOnce && wait_readable(live_.get(), 0); ++i) introduce();
     if (desk_) desk_->serve(now_ns());
   }
 
@@ -415,11 +421,11 @@ class Supervisor {
   }
 
   Supervision request_;
-  std::string base_, bin_;
+  std::string bin_;
   UniqueFd answer_, trace_, session_, board_fd_, live_;
   std::shared_ptr<const Board> board_;
   std::uint64_t shown_deaths_ = 0;
-  std::unique_ptr<Desk> desk_;  ///< null: it is no run
+  std::optional<Desk> desk_;  ///< none: it is no run
   std::optional<Daemons> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;

@@ -34,6 +34,11 @@ transport::TopicShape shape_of(const Graph::Topic& topic, std::size_t readers,
           spec.buffered.make != nullptr};
 }
 
+/// Who is dead, or does not read, is cut off: serve() notices both.
+void order(int socket, Word word) {
+  if (!say(socket, word)) (void)shutdown(socket, SHUT_RDWR);
+}
+
 }  // namespace
 
 Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
@@ -69,24 +74,21 @@ void Hub::serve() {
     std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}, {listener_.get(), POLLIN, 0}};
     {
       const Guard lock(mutex_);
-      for (const MemberState& member : members_)
-        if (member.socket) fds.push_back({member.socket.get(), POLLIN, 0});
+      for (const MemberState& member : members_) {
+        const bool to_tell = member.told < topics_.size() + 2;
+        const auto events = static_cast<short>(to_tell ? POLLIN | POLLOUT : POLLIN);
+        if (member.socket) fds.push_back({member.socket.get(), events, 0});
+      }
     }
     for (const UniqueFd& stranger : strangers_) fds.push_back({stranger.get(), POLLIN, 0});
     if (poll(fds.data(), fds.size(), -1) < 0) continue;
     if (fds[0].revents != 0) drain_eventfd(wake_.get());
     if (fds[1].revents != 0) accept();
     for (std::size_t i = 2; i < fds.size(); ++i) {
-      if (fds[i].revents == 0) continue;
       const int fd = fds[i].fd;
-      if (hear(fd)) continue;
-      int process = 0;
-      {
-        const Guard lock(mutex_);
-        for (std::size_t p = 1; p < members_.size(); ++p)
-          if (members_[p].socket.get() == fd) process = static_cast<int>(p);
-      }
-      if (process != 0) lose(process);
+      const bool reads = (fds[i].revents & POLLOUT) != 0, says = (fds[i].revents & ~POLLOUT) != 0;
+      if ((!reads || introduce(process_of(fd))) && (!says || hear(fd))) continue;
+      if (const int process = process_of(fd); process != 0) lose(process);
       std::erase_if(strangers_, [&](const UniqueFd& s) { return s.get() == fd; });
     }
   }
@@ -95,10 +97,38 @@ void Hub::serve() {
 void Hub::accept() {
   auto peer = accept_own(listener_.get());
   if (!peer) {
-    log::warn("hub: {}", peer.error().what);
+    refusals_.tell(peer.error().what, now_ns());
     return;
   }
   if (strangers_.size() < 2 * num_members() + 8) strangers_.push_back(std::move(*peer));
+}
+
+/// 0: nobody's yet.
+int Hub::process_of(int fd) const {
+  const Guard lock(mutex_);
+  for (std::size_t p = 1; p < members_.size(); ++p)
+    if (members_[p].socket.get() == fd) return static_cast<int>(p);
+  return 0;
+}
+
+/// The first packet of a connection. False: it is over.
+bool Hub::let_in(int fd, const Packet& packet) {
+  const auto stranger = std::find_if(strangers_.begin(), strangers_.end(),
+                                     [&](const UniqueFd& s) { return s.get() == fd; });
+  if (packet.index == 0 || packet.index >= num_members() || stranger == strangers_.end())
+    return false;
+  const Word word = static_cast<Word>(packet.word);
+  const Guard lock(mutex_);
+  MemberState& member = members_[packet.index];
+  if (word == Word::kGone) {
+    if (!member.socket) member.state = State::kGone;
+    futex_advance(changes_, INT_MAX);
+    return false;
+  }
+  if (word != Word::kHello || member.socket || stopping_) return false;
+  member = {State::kStarting, std::move(*stranger), 0};
+  strangers_.erase(stranger);
+  return true;
 }
 
 /// One packet. False: this connection is over.
@@ -108,39 +138,9 @@ bool Hub::hear(int fd) {
   if (!size || *size < sizeof(Packet)) return false;
   Packet packet;
   std::memcpy(&packet, room, sizeof packet);
-  int process = 0;
-  {
-    const Guard lock(mutex_);
-    for (std::size_t p = 1; p < members_.size(); ++p)
-      if (members_[p].socket.get() == fd) process = static_cast<int>(p);
-  }
+  const int process = process_of(fd);
+  if (process == 0) return let_in(fd, packet);
   const Word word = static_cast<Word>(packet.word);
-  if (process == 0) {
-    const auto stranger = std::find_if(strangers_.begin(), strangers_.end(),
-                                       [&](const UniqueFd& s) { return s.get() == fd; });
-    if (packet.index == 0 || packet.index >= num_members() || stranger == strangers_.end())
-      return false;
-    const int who = static_cast<int>(packet.index);
-    if (word == Word::kGone) {
-      const Guard lock(mutex_);
-      MemberState& member = members_[packet.index];
-      if (!member.socket) member.state = State::kGone;
-      futex_advance(changes_, INT_MAX);
-      return false;
-    }
-    if (word != Word::kHello) return false;
-    {
-      const Guard lock(mutex_);
-      MemberState& member = members_[packet.index];
-      if (member.socket || stopping_) return false;
-      member.socket = std::move(*stranger);
-      member.state = State::kStarting;
-      strangers_.erase(stranger);
-    }
-    const Status status = introduce(who);
-    if (!status) log::warn("hub: process {}: {}", who, status.error().to_string());
-    return status.has_value();
-  }
   switch (word) {
     case Word::kReady: {
       bool again;
@@ -177,26 +177,33 @@ bool Hub::hear(int fd) {
   }
 }
 
-int Hub::socket_of(int process) const {
+/// Gives a new member what it reads and publishes, as fast as it reads that: nobody waits for it.
+/// False: it cannot have it.
+bool Hub::introduce(int process) {
   const Guard lock(mutex_);
-  return members_[static_cast<std::size_t>(process)].socket.get();
+  MemberState& member = members_[static_cast<std::size_t>(process)];
+  while (member.told < topics_.size() + 2) {
+    const Status status = tell(member.socket.get(), process, member.told);
+    if (!status && status.error().code == ErrorCode::kTimeout) return true;
+    if (!status) {
+      log::warn("hub: process {}: {}", process, status.error().to_string());
+      return false;
+    }
+    ++member.told;
+  }
+  return true;
 }
 
-/// Gives a new member what it reads and publishes.
-Status Hub::introduce(int process) {
-  const int socket = socket_of(process);
-  for (std::size_t t = 0; t < topics_.size(); ++t) {
-    const Plan::Remote& remote = plan_.topics[t];
-    if (remote.readers.empty()) continue;
-    const int reader = remote.reader(process);
-    if (remote.publisher != process && reader < 0) continue;
-    XAUTO_ASSIGN(const std::vector<UniqueFd> fds, topics_[t]->invite(reader));
-    std::vector<int> numbers;
-    for (const UniqueFd& fd : fds) numbers.push_back(fd.get());
-    XAUTO_TRY(say(socket, Word::kTopic, static_cast<int>(t), numbers));
-  }
-  XAUTO_TRY(say(socket, Word::kBoard, 0, {board_fd_.get()}));
-  return say(socket, Word::kBegin);
+Status Hub::tell(int socket, int process, std::size_t step) {
+  if (step == topics_.size()) return say(socket, Word::kBoard, 0, {board_fd_.get()});
+  if (step > topics_.size()) return say(socket, Word::kBegin);
+  const Plan::Remote& remote = plan_.topics[step];
+  const int reader = remote.reader(process);
+  if (remote.readers.empty() || (remote.publisher != process && reader < 0)) return {};
+  XAUTO_ASSIGN(const std::vector<UniqueFd> fds, topics_[step]->invite(reader));
+  std::vector<int> numbers;
+  for (const UniqueFd& fd : fds) numbers.push_back(fd.get());
+  return say(socket, Word::kTopic, static_cast<int>(step), numbers);
 }
 
 /// The member's process has ended, or talks nonsense: then it is cut off, which ends it.
@@ -238,7 +245,7 @@ Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
         begun_ = true;
         for (std::size_t p = 1; p < members_.size(); ++p) {
           members_[p].state = State::kRunning;
-          (void)say(members_[p].socket.get(), Word::kGo);  // its death is noticed by serve()
+          order(members_[p].socket.get(), Word::kGo);
         }
         return true;
       }
@@ -254,13 +261,10 @@ Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
 void Hub::kill(int process) {
   const Guard lock(mutex_);
   const MemberState& member = members_[static_cast<std::size_t>(process)];
-  ucred peer{};
-  socklen_t size = sizeof peer;
   // The kernel's word, not the member's; the pid is its own as long as the socket is connected.
-  if (stopping_ || !member.socket ||
-      getsockopt(member.socket.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || peer.pid <= 0)
-    return;
-  (void)::kill(peer.pid, SIGKILL);
+  if (stopping_ || !member.socket) return;
+  if (const auto peer = peer_of(member.socket.get()); peer && peer->pid > 0)
+    (void)::kill(peer->pid, SIGKILL);
 }
 
 std::vector<std::string> Hub::stop() {
@@ -268,7 +272,7 @@ std::vector<std::string> Hub::stop() {
     const Guard lock(mutex_);
     stopping_ = true;
     for (const MemberState& member : members_)
-      if (member.socket) (void)say(member.socket.get(), Word::kStop);
+      if (member.socket) order(member.socket.get(), Word::kStop);
   }
   const std::int64_t limit = now_ns() + kReportNs;
   for (;;) {

@@ -12,6 +12,7 @@
 
 #include <xauto/result.h>
 
+#include "base/log.h"
 #include "base/pi_mutex.h"
 #include "base/unique_fd.h"
 #include "graph/graph.h"
@@ -62,18 +63,21 @@ class Hub {
   struct MemberState {
     State state = State::kAbsent;
     UniqueFd socket;
+    std::size_t told = 0;  ///< of introduce(): topics, board, Begin
   };
   Hub(const Plan& plan, const Graph& graph, HubHost& host)
       : plan_(plan), graph_(graph), host_(host), members_(num_members()) {}
   void serve();
   void accept();
   bool hear(int fd);
-  [[nodiscard]] Status introduce(int process);
+  [[nodiscard]] bool let_in(int fd, const Packet& packet);
+  [[nodiscard]] bool introduce(int process);
+  [[nodiscard]] Status tell(int socket, int process, std::size_t step);
   void lose(int process);
   [[nodiscard]] std::size_t num_members() const {
     return static_cast<std::size_t>(plan_.processes);
   }
-  [[nodiscard]] int socket_of(int process) const;
+  [[nodiscard]] int process_of(int fd) const;
 
   const Plan& plan_;
   const Graph& graph_;
@@ -82,6 +86,7 @@ class Hub {
   UniqueFd board_fd_, listener_, wake_;
   std::vector<std::unique_ptr<transport::Link>> topics_;  ///< [topic]; null: stays inside
   std::vector<UniqueFd> strangers_;  ///< connected, not yet said Hello; of serve()
+  log::Refusals refusals_{"hub"};    ///< of serve()
   std::thread thread_;
 
   mutable PiMutex mutex_;

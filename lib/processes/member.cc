@@ -73,7 +73,8 @@ void Member::tell(int module, std::uint64_t sequence, std::int64_t origin_ns, st
                 .rates = origins != nullptr ? 1u : 0u,
                 .urgent = urgent ? 1u : 0u};
   if (origins != nullptr) packet.origins = *origins;
-  (void)send_packet(socket_.get(), &packet, sizeof packet);  // a dead hub: we are ended as well
+  // No result of ours may be lost; a dead hub: we are ended as well.
+  (void)send_packet(socket_.get(), &packet, sizeof packet, {}, IfFull::kWait);
 }
 
 bool Member::wait_stop(const std::atomic<bool>& stop) {
@@ -87,7 +88,7 @@ void Member::report(const std::string& text) {
   const Packet head{.word = static_cast<std::uint32_t>(Word::kReport)};
   std::memcpy(packet.data(), &head, sizeof head);
   std::memcpy(packet.data() + sizeof head, text.data(), packet.size() - sizeof head);
-  (void)send_packet(socket_.get(), packet.data(), packet.size());
+  (void)send_packet(socket_.get(), packet.data(), packet.size(), {}, IfFull::kWait);
 }
 
 }  // namespace xauto::runtime

@@ -67,7 +67,6 @@ Result<int> list(const Watched& run, const Options& options) {
 Result<int> mode(const ModeFlags& flags, const Options& options) {
   if (flags.none && !flags.name.empty())
     return fail(ErrorCode::kInvalid, "asks for a scenario and for none", "xauto mode");
-  const std::atomic<bool> never{false};
   XAUTO_ASSIGN(const Watched run, find_run(flags.run, flags.wait_s));
   if (flags.name.empty() && !flags.none) return list(run, options);
   XAUTO_ASSIGN(const Json was, ask_desk(run, Json{{"mode", flags.name}}));

@@ -6,6 +6,7 @@
 //                                                               ├─► http://ADDRESS:PORT/metrics
 //                                                               └─► /diagnostics
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -13,14 +14,19 @@
 #include <iostream>
 #include <map>
 #include <optional>
+#include <thread>
 #include <utility>
 
 #include <fmt/format.h>
 #include <poll.h>
+#include <sys/eventfd.h>
 #include <unistd.h>
 
 #include "base/clock.h"
 #include "base/log.h"
+#include "base/mutex.h"
+#include "base/socket.h"
+#include "base/thread.h"
 
 #include "xauto/command.h"
 #include "xauto/diagnostics.h"
@@ -59,6 +65,62 @@ struct Seen {
   std::vector<Diagnostic> said;
 };
 
+/// Scrapers are answered by a thread of their own, however long it takes to look at the runs.
+class Scraped {
+ public:
+  static Result<std::unique_ptr<Scraped>> start(std::unique_ptr<MetricsServer> server,
+                                                const std::string& metrics) {
+    auto made = std::unique_ptr<Scraped>(new Scraped(std::move(server)));
+    made->show(metrics);
+    if (!made->wake_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
+    XAUTO_ASSIGN(made->thread_, start_thread([s = made.get()] { s->serve(); }));
+    return made;
+  }
+  ~Scraped() {
+    quit_.store(true);
+    signal_eventfd(wake_.get());
+    if (thread_.joinable()) thread_.join();
+  }
+  Scraped(const Scraped&) = delete;
+  Scraped& operator=(const Scraped&) = delete;
+
+  void show(std::string metrics) {
+    const Lock lock(mutex_);
+    fresh_ = std::move(metrics);
+  }
+
+ private:
+  explicit Scraped(std::unique_ptr<MetricsServer> server)
+      : server_(std::move(server)), wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
+  void serve() {
+    while (!quit_.load()) {
+      std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}};
+      server_->add_to(fds);
+      (void)poll(fds.data(), fds.size(), kLookMs);  // the patience with clients ends, too
+      {
+        const Lock lock(mutex_);
+        if (fresh_) server_->show(*std::exchange(fresh_, std::nullopt));
+      }
+      server_->serve(now_ns());
+    }
+  }
+
+  static constexpr int kLookMs = 1000;
+  const std::unique_ptr<MetricsServer> server_;  ///< of the thread
+  const UniqueFd wake_;
+  std::atomic<bool> quit_{false};
+  Mutex mutex_;
+  std::optional<std::string> fresh_ XAUTO_GUARDED_BY(mutex_);
+  std::thread thread_;
+};
+
+/// Until then, or until it is told to end.
+void wait_until(std::int64_t until_ns, const std::atomic<bool>& stop) {
+  for (std::int64_t now = now_ns(); now < until_ns && !stop.load(); now = now_ns())
+    poll(nullptr, 0,
+         static_cast<int>(std::min<std::int64_t>(100, (until_ns - now) / 1'000'000 + 1)));
+}
+
 class Monitor {
  public:
   explicit Monitor(const MonitorFlags& flags) : flags_(flags) {}
@@ -92,11 +154,12 @@ class Monitor {
       tell(stale(std::move(seen->second.said), "the run has ended"));
       seen = seen_.erase(seen);
     }
-    const std::atomic<bool> never{false};
+    std::vector<std::string> fresh;
     for (const std::string& run : going)
-      if (!seen_.contains(run) && (flags_.run.empty() || flags_.run == run))
-        if (auto watched = watch(run, 0, never))  // else it begins or ends, or is somebody else's
-          seen_.emplace(run, Seen{std::move(*watched), {}, {}});
+      if (!seen_.contains(run) && (flags_.run.empty() || flags_.run == run)) fresh.push_back(run);
+    for (Watched& watched : introduced(fresh))  // others begin or end, or are somebody else's
+      seen_.try_emplace(watched.run, Seen{std::move(watched), {}, {}});
+    std::map<std::string, Coordinated> coordinated = ask_coordinators(flags_.run);
     std::vector<RunLook> looks;
     for (auto& [run, seen] : seen_) {
       RunLook now{run,
@@ -104,7 +167,7 @@ class Monitor {
                   seen.run.platform,
                   seen.run.scheduling,
                   counts_of(*seen.run.board),
-                  ask_coordinators(run)};
+                  std::move(coordinated[run].xpus)};
       seen.said = diagnostics_of(now, seen.said.empty() ? nullptr : &seen.look);
       tell(seen.said);
       looks.push_back(now);
@@ -112,7 +175,11 @@ class Monitor {
     }
     said_ = all;
     metrics_ = metrics_text(looks);
-    if (server_) server_->show(metrics_);
+    if (server_) {
+      XAUTO_ASSIGN(scraped_, Scraped::start(std::move(server_), metrics_));
+    } else if (scraped_) {
+      scraped_->show(metrics_);
+    }
     if (topic_ && !all.empty()) topic_->publish(all);
     if (flags_.file.empty()) return !seen_.empty();
     // A disk that is full later on is no reason to end the rest; who reads the file sees its age.
@@ -125,17 +192,6 @@ class Monitor {
     failing_ = false;
     XAUTO_TRY(std::move(written));
     return !seen_.empty();
-  }
-
-  /// Answers scrapers until it is time to look again.
-  void serve(std::int64_t until_ns, const std::atomic<bool>& stop) {
-    for (std::int64_t now = now_ns(); now < until_ns && !stop.load(); now = now_ns()) {
-      std::vector<pollfd> fds;
-      if (server_) server_->add_to(fds);
-      const std::int64_t wait_ms = std::min<std::int64_t>(100, (until_ns - now) / 1'000'000 + 1);
-      (void)poll(fds.data(), fds.size(), static_cast<int>(wait_ms));
-      if (server_) server_->serve(now_ns());
-    }
   }
 
   /// What nobody brings up to date any more must not look as if it were.
@@ -155,7 +211,8 @@ class Monitor {
 
  private:
   const MonitorFlags& flags_;
-  std::unique_ptr<MetricsServer> server_;
+  std::unique_ptr<MetricsServer> server_;  ///< until there is something to show
+  std::unique_ptr<Scraped> scraped_;
   std::optional<DiagnosticsTopic> topic_;
   std::map<std::string, Seen> seen_;
   std::string metrics_;
@@ -189,7 +246,7 @@ Result<int> monitor(const MonitorFlags& flags, bool port, const Options& options
   const std::int64_t interval_ns = std::int64_t{flags.interval_ms} * 1'000'000;
   if (once) {
     XAUTO_TRY(monitor.look());
-    monitor.serve(now_ns() + interval_ns, *stop.flag());
+    wait_until(now_ns() + interval_ns, *stop.flag());
     XAUTO_TRY(monitor.look());  // rates are about the time in between
     std::cout << (options.json ? statuses_json(monitor.said()) : monitor.metrics());
     return kDone;
@@ -204,7 +261,7 @@ Result<int> monitor(const MonitorFlags& flags, bool port, const Options& options
     }
     if (!*any && !flags.run.empty()) break;  // the run that it is for has ended
     due_ns = std::max(due_ns + interval_ns, now_ns());
-    monitor.serve(due_ns, *stop.flag());
+    wait_until(due_ns, *stop.flag());
   }
   monitor.close();
   if (!status) return tl::unexpected<Error>(std::move(status).error());

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "base/utf8.h"
 #include "model/json_value.h"
 #include "processes/parameters.h"
 
@@ -83,7 +84,7 @@ Result<int> list(const ParamFlags& flags, const Options& options) {
       {"module", "name", "type", "range", "value", "default"}};
   for (const PostedParameter& p : all)
     rows.push_back({p.module, p.spec.name, to_string(p.spec.type()), p.spec.range(),
-                    to_text(p.value), to_text(p.spec.initial)});
+                    for_terminal(to_text(p.value)), for_terminal(to_text(p.spec.initial))});
   std::vector<std::size_t> width(rows.front().size());
   for (const auto& row : rows)
     for (std::size_t i = 0; i < row.size(); ++i) width[i] = std::max(width[i], row[i].size());
@@ -104,7 +105,8 @@ Result<int> get(const ParamFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const std::vector<PostedParameter> all, read(run, flags.words[0]));
   for (const PostedParameter& p : all) {
     if (p.spec.name != flags.words[1]) continue;
-    std::cout << (options.json ? Json{{"value", to_json(p.value)}}.dump() : to_text(p.value))
+    std::cout << (options.json ? Json{{"value", to_json(p.value)}}.dump()
+                               : for_terminal(to_text(p.value)))
               << "\n";
     return kDone;
   }
@@ -138,8 +140,8 @@ Result<int> set(const ParamFlags& flags, const Options& options) {
     return kDone;
   }
   for (std::size_t i = 0; i < was.keys().size(); ++i)
-    std::cout << was.keys()[i] << ": " << was.elements()[i].text().value_or("?") << " -> "
-              << values.at(was.keys()[i]).text().value_or("?") << "\n";
+    std::cout << for_terminal(was.keys()[i]) << ": " << was.elements()[i].text().value_or("?")
+              << " -> " << values.at(was.keys()[i]).text().value_or("?") << "\n";
   return kDone;
 }
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto status: every state machine of every running app in words. Coordinators are found by the
 // names of their sockets and asked; nothing is written anywhere for this.
-#include <atomic>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -13,11 +12,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/socket.h"
-#include "launch/supervisor.h"
+#include "launch/sockets.h"
 #include "model/json_value.h"
 #include "model/xpu_status.h"
 
+#include "xauto/asking.h"
 #include "xauto/command.h"
 #include "xauto/live.h"
 
@@ -77,36 +76,33 @@ std::string words(const Unseen& one) {
 }
 
 int status(const Options& options) {
-  std::map<std::string, std::vector<XpuStatus>> sessions;
-  std::set<int> answered;
-  std::set<std::string> runs;
   const std::string prefix = launch::kSocketPrefix;
-  for (const std::string& address : abstract_sockets(prefix))
-    if (const std::size_t slash = address.rfind('/'); slash > prefix.size())
-      runs.insert(address.substr(prefix.size(), slash - prefix.size()));
-  for (const std::string& run : runs)
-    if (std::vector<XpuStatus> answers = ask_coordinators(run); !answers.empty()) {
-      for (const XpuStatus& answer : answers) answered.insert(static_cast<int>(answer.pid));
-      sessions[run] = std::move(answers);
-    }
+  const std::map<std::string, Coordinated> sessions = ask_coordinators();
+  std::set<int> answered;
+  std::vector<std::string> runs;
+  for (const auto& [run, of] : sessions) {
+    runs.push_back(run);
+    for (const XpuStatus& xpu : of.xpus) answered.insert(static_cast<int>(xpu.pid));
+  }
   const std::vector<Unseen> unseen = coordinators_but(answered);
   std::map<std::string, Counts> looks;  // of runs that claim something
-  const std::atomic<bool> never{false};
-  for (const auto& [run, xpus] : sessions)
-    if (const auto watched = watch(run, 1, never))  // its tool may have hung up too soon
-      if (Counts counts = counts_of(*watched->board); counts.claims.claimed || counts.scenario)
-        looks.emplace(run, std::move(counts));
+  for (const Watched& watched : introduced(runs))
+    if (Counts counts = counts_of(*watched.board); counts.claims.claimed || counts.scenario)
+      looks.emplace(watched.run, std::move(counts));
   if (options.json) {
     Json list = Json::array();
     for (const Unseen& one : unseen)
       list.push_back({{"pid", one.pid}, {"user", user_name(one.uid)}, {"why", words(one)}});
     Json runs_of = Json::object();
-    for (const auto& [run, xpus] : sessions) {
+    Json users = Json::object();
+    for (const auto& [run, of] : sessions) {
       Json answers = Json::array();
-      for (const XpuStatus& xpu : xpus) answers.push_back(to_json(xpu));
+      for (const XpuStatus& xpu : of.xpus) answers.push_back(to_json(xpu));
       runs_of[prefix + run] = std::move(answers);
+      if (of.uid != geteuid()) users[prefix + run] = user_name(of.uid);
     }
     Json all = {{"sessions", std::move(runs_of)}};
+    if (!users.elements().empty()) all["users"] = std::move(users);
     for (const auto& [run, counts] : looks) {
       if (counts.scenario) all["scenario"][(prefix + run).c_str()] = scenario_json(counts);
       if (!counts.claims.claimed) continue;
@@ -138,11 +134,11 @@ int status(const Options& options) {
                         "network namespace and its processes\n"
                       : "no app that can be asked from here is running under XAuto\n");
   for (const Unseen& one : unseen) std::cout << "  not seen: " << words(one) << "\n";
-  for (const auto& [run, xpus] : sessions) {
-    std::cout << "run " << run << "\n";
+  for (const auto& [run, of] : sessions) {
+    std::cout << "run " << run << (of.uid == geteuid() ? "" : " of " + user_name(of.uid)) << "\n";
     if (const auto seen = looks.find(run); seen != looks.end())
       std::cout << claims_text(seen->second) << scenario_text(seen->second) << "\n";
-    for (const XpuStatus& xpu : xpus) {
+    for (const XpuStatus& xpu : of.xpus) {
       std::cout << fmt::format(
           "  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.xpu, to_string(xpu.discipline),
           xpu.arbitrated ? "arbitrated" : "uncontended", xpu.pid, xpu.decisions);

@@ -97,7 +97,7 @@ struct XpuState {
 
 std::vector<XpuState> states_of(const std::string& run) {
   std::vector<XpuState> states;
-  for (const XpuStatus& answer : ask_coordinators(run)) {
+  for (const XpuStatus& answer : ask_coordinators(run)[run].xpus) {
     XpuState state{answer.xpu, {}, {}};
     for (const WorkerStatus& worker : answer.workers) {
       if (worker.idle() || worker.state == "starting") continue;
@@ -307,9 +307,7 @@ Result<int> top(const TopFlags& flags, const Options& options) {
   // A script gets one look, and does not wait for the run's end.
   const int count = flags.once ? 1 : flags.count >= 0 ? flags.count : terminal ? 0 : 1;
   Observed observed;
-  Result<Watched> watched = watch(flags.run, flags.wait_s, *stop.flag());
-  if (!watched) XAUTO_TRY(not_of_others(flags.run));
-  XAUTO_ASSIGN(observed.run, std::move(watched));
+  XAUTO_ASSIGN(observed.run, watch(flags.run, flags.wait_s, *stop.flag()));
   kernel::TracerOptions tracer_options;
   tracer_options.events = false;
   tracer_options.pin = false;

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "base/log.h"
+#include "base/utf8.h"
 #include "model/json_value.h"
 #include "story/cpu_trace.h"
 #include "story/perfetto.h"
@@ -35,9 +36,9 @@ const char* kind_of(std::uint16_t kind) {
   return kind < std::size(kNames) ? kNames[kind] : "?";
 }
 
-/// Text of a fixed field that the kernel has ended by 0.
+/// Of a fixed field that the kernel has ended by 0: what any user has called a thread.
 std::string text_of(const char (&field)[16]) {
-  return std::string(field, strnlen(field, sizeof field));
+  return for_terminal({field, strnlen(field, sizeof field)}, false);
 }
 
 std::string describe(const xauto_bpf_event& e) {

@@ -6,141 +6,115 @@
 #include <thread>
 
 #include <fmt/format.h>
-#include <pwd.h>
-#include <sys/socket.h>
 #include <unistd.h>
 
 #include "base/log.h"
-#include "base/socket.h"
 #include "coord/protocol.h"
 #include "launch/supervisor.h"
 #include "processes/parameters.h"
 
+#include "xauto/asking.h"
 #include "xauto/verdict.h"
 
 namespace xauto::cli {
 namespace {
 
-constexpr int kAnswerTimeoutMs = 1000;
+constexpr int kAnswerMs = 1000, kDeskAnswerMs = 5000;  ///< the tool looks five times a second
 
-/// One packet of JSON from a peer, with what comes along.
-Result<Json> answer_of(int socket, const std::string& address,
-                       std::vector<UniqueFd>* fds = nullptr) {
-  if (!wait_readable(socket, kAnswerTimeoutMs))
-    return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
-  std::string text(coord::kMaxStatusBytes, '\0');
-  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket, text.data(), text.size(), fds));
-  std::optional<Json> parsed = Json::parse(std::string_view(text).substr(0, size));
-  if (!parsed || !parsed->is_object())
-    return fail(ErrorCode::kInvalid, "answered with something else than a status", address);
-  return *std::move(parsed);
+/// `name` of one run, or with an empty name of all.
+std::vector<RunSocket> sockets_of(const std::string& run, const std::string& name) {
+  std::vector<RunSocket> sockets = run_sockets();
+  std::erase_if(sockets, [&](const RunSocket& at) {
+    return at.name != name || (!run.empty() && at.run != run);
+  });
+  return sockets;
 }
 
-/// A coordinator is asked by one word.
-Result<Json> ask(const std::string& address) {
-  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
-  const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
-  XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
-  return answer_of(socket.get(), address);
+Result<Watched> watched_of(const RunSocket& at, Result<Answer> answer) {
+  if (!answer) return tl::unexpected<Error>(std::move(answer).error());
+  if (answer->fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", at.run);
+  const auto text = [&](const char* key) { return answer->said.at(key).text().value_or("?"); };
+  Watched watched{at.run, text("app"), text("platform"), text("scheduling"), answer->uid, nullptr};
+  XAUTO_ASSIGN(watched.board, runtime::Board::observe(answer->fds[0].get()));
+  return watched;
 }
 
 /// Who introduces a run answers unasked and hangs up. A question that it leaves unread would make
 /// the kernel reset the connection, and the answer would be lost to whoever reads it a bit late.
-Result<Watched> introduced(const std::string& run) {
-  const std::string address = address_of(run, launch::kLiveName);
-  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
-  std::vector<UniqueFd> fds;
-  XAUTO_ASSIGN(const Json hello, answer_of(socket.get(), address, &fds));
-  if (fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", run);
-  const auto text = [&](const char* key) { return hello.at(key).text().value_or("?"); };
-  Watched watched{run, text("app"), text("platform"), text("scheduling"), nullptr};
-  XAUTO_ASSIGN(watched.board, runtime::Board::observe(fds[0].get()));
-  return watched;
+std::vector<Result<Watched>> introduce(const std::vector<RunSocket>& sockets) {
+  std::vector<Result<Answer>> answers = ask(sockets, {}, kAnswerMs);
+  std::vector<Result<Watched>> runs;
+  for (std::size_t i = 0; i < sockets.size(); ++i)
+    runs.push_back(watched_of(sockets[i], std::move(answers[i])));
+  return runs;
+}
+
+/// The one that is meant, of those that were asked: the user's own, or the only other one.
+Result<Watched> choose(std::vector<Result<Watched>> runs) {
+  const bool has_own = std::any_of(runs.begin(), runs.end(), [](const Result<Watched>& run) {
+    return run && run->uid == geteuid();
+  });
+  std::erase_if(
+      runs, [&](const Result<Watched>& run) { return has_own && (!run || run->uid != geteuid()); });
+  const auto begins = std::stable_partition(
+      runs.begin(), runs.end(), [](const Result<Watched>& run) { return run.has_value(); });
+  const auto there = begins - runs.begin();
+  if (there == 1 || (there == 0 && runs.size() == 1)) return std::move(runs.front());
+  if (there == 0) return fail(ErrorCode::kNotFound, "no run that can be asked is going on");
+  std::string list;
+  for (auto run = runs.begin(); run != begins; ++run)
+    list += " " + (*run)->run + (has_own ? "" : " of " + user_name((*run)->uid));
+  return fail(ErrorCode::kInvalid, "several runs are going on:" + list, "--run", "name one");
 }
 
 }  // namespace
 
-std::string address_of(const std::string& run, const std::string& name) {
-  return launch::kSocketPrefix + run + "/" + name;
-}
-
-std::string user_name(unsigned uid) {
-  const passwd* entry = getpwuid(uid);
-  return entry != nullptr ? entry->pw_name : "uid " + std::to_string(uid);
-}
-
 std::vector<std::string> running() {
   std::vector<std::string> runs;
-  const std::string prefix = launch::kSocketPrefix;
-  const std::string suffix = std::string("/") + launch::kLiveName;
-  for (const std::string& address : abstract_sockets(prefix))
-    if (address.ends_with(suffix) && address.size() > prefix.size() + suffix.size())
-      runs.push_back(address.substr(prefix.size(), address.size() - prefix.size() - suffix.size()));
+  for (const RunSocket& at : sockets_of({}, launch::kLiveName)) runs.push_back(at.run);
   return runs;
+}
+
+std::vector<Watched> introduced(const std::vector<std::string>& runs) {
+  std::vector<RunSocket> sockets = sockets_of({}, launch::kLiveName);
+  std::erase_if(sockets, [&](const RunSocket& at) {
+    return std::find(runs.begin(), runs.end(), at.run) == runs.end();
+  });
+  std::vector<Watched> all;
+  for (Result<Watched>& run : introduce(sockets))
+    if (run) all.push_back(std::move(*run));
+  return all;
 }
 
 Result<Watched> watch(const std::string& run, int wait_s, const std::atomic<bool>& stop) {
   const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(wait_s);
   for (;;) {
-    const std::vector<std::string> runs = running();
-    if (run.empty() && runs.size() > 1) {
-      std::string list;
-      for (const std::string& one : runs) list += " " + one;
-      return fail(ErrorCode::kInvalid, "several runs are going on:" + list, "--run", "name one");
-    }
-    const bool there =
-        run.empty() ? runs.size() == 1 : std::find(runs.begin(), runs.end(), run) != runs.end();
-    Result<Watched> watched = fail(
-        ErrorCode::kNotFound,
-        run.empty() ? "no run is going on" : "no run '" + run + "' is going on", "--run",
-        "start `xauto run ...`, then this, or see --wait-s; runs of other users, containers and "
-        "network namespaces are not seen");
-    if (there) watched = introduced(run.empty() ? runs.front() : run);
-    if (watched || stop.load() || std::chrono::steady_clock::now() >= limit) return watched;
+    const std::vector<RunSocket> sockets = sockets_of(run, launch::kLiveName);
+    Result<Watched> watched =
+        sockets.empty()
+            ? fail(ErrorCode::kNotFound,
+                   run.empty() ? "no run is going on" : "no run '" + run + "' is going on", "--run",
+                   "start `xauto run ...`, then this, or see --wait-s; runs of other users, "
+                   "containers and network namespaces are not seen")
+            : choose(introduce(sockets));
+    const bool several = !watched && run.empty() && watched.error().code == ErrorCode::kInvalid;
+    if (watched || several || stop.load() || std::chrono::steady_clock::now() >= limit)
+      return watched;
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
   }
 }
 
-namespace {
-
-constexpr int kAnswerMs = 5000;  ///< the run's tool looks at least five times a second
-
-/// Of a run of somebody else's: nobody would answer.
-Status may_ask(int socket, const std::string& run) {
-  ucred peer{};
-  socklen_t size = sizeof peer;
-  if (getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || geteuid() == 0 ||
-      peer.uid == geteuid())
-    return {};
-  return fail(
-      ErrorCode::kPermission,
-      "run '" + run + "' is of " + user_name(peer.uid) + ", and answers only that user and root",
-      "--run", "ask as that user, or with sudo");
-}
-
-}  // namespace
-
-Status not_of_others(const std::string& name) {
-  const std::vector<std::string> runs = running();
-  const std::string run = name.empty() && runs.size() == 1 ? runs.front() : name;
-  if (run.empty()) return {};
-  const auto socket = connect_abstract(address_of(run, launch::kLiveName));
-  return socket ? may_ask(socket->get(), run) : Status();
-}
-
 Result<Watched> find_run(const std::string& name, int wait_s) {
   const std::atomic<bool> never{false};
-  auto watched = watch(name, wait_s, never);
-  if (!watched) XAUTO_TRY(not_of_others(name));
-  return watched;
+  return watch(name, wait_s, never);
 }
 
 std::vector<std::string> ours() {
-  std::vector<std::string> runs = running();
-  std::erase_if(runs, [](const std::string& run) {
-    const auto socket = connect_abstract(address_of(run, launch::kLiveName));
-    return !socket || !may_ask(socket->get(), run);  // it has just ended, or is somebody else's
-  });
+  const std::vector<RunSocket> sockets = sockets_of({}, launch::kLiveName);
+  const std::vector<Result<Host>> hosts = reach(sockets, kAnswerMs);
+  std::vector<std::string> runs;
+  for (std::size_t i = 0; i < sockets.size(); ++i)
+    if (hosts[i]) runs.push_back(sockets[i].run);  // else it has just ended, or is somebody else's
   return runs;
 }
 
@@ -150,38 +124,45 @@ Result<Json> ask_desk(const Watched& run, const Json& request) {
   if (text.size() > runtime::kMaxParameterRequest)
     return fail(ErrorCode::kInvalid, "these values are too long to be set at once", where,
                 "set some of them, then the others");
-  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address_of(run.run, launch::kDeskName)));
-  XAUTO_TRY(may_ask(socket.get(), run.run));
-  XAUTO_TRY(send_packet(socket.get(), text.data(), text.size()));
-  if (!wait_readable(socket.get(), kAnswerMs))
+  Result<Answer> answer = fail(ErrorCode::kUnavailable, "is at its end", where);
+  for (Result<Answer>& one : ask(sockets_of(run.run, launch::kDeskName), text, kDeskAnswerMs, true))
+    if (!answer || (one && one->uid == run.uid)) answer = std::move(one);
+  if (!answer && answer.error().code == ErrorCode::kTimeout)
     return fail(ErrorCode::kTimeout, "did not answer within 5 s", where, "ask what holds now");
-  std::string answer(runtime::kMaxParameterAnswer, '\0');
-  const auto size = receive_packet(socket.get(), answer.data(), answer.size());
-  if (!size)
+  if (!answer && answer.error().code == ErrorCode::kUnavailable)
     return fail(ErrorCode::kUnavailable, "hung up without an answer; it may be at its end", where);
-  answer.resize(*size);
-  if (Status status = runtime::answer_error(answer); !status) {
+  if (!answer) return tl::unexpected<Error>(std::move(answer).error());
+  if (Status status = runtime::answer_error(answer->said.dump()); !status) {
     Error error = std::move(status).error();
     error.where = where + (error.where.empty() ? "" : ", " + error.where);
     return tl::unexpected<Error>(std::move(error));
   }
-  return Json::parse(answer)->at("was");
+  return answer->said.at("was");
 }
 
-std::vector<XpuStatus> ask_coordinators(const std::string& run) {
-  std::vector<XpuStatus> answers;
-  for (const std::string& address : abstract_sockets(address_of(run, ""))) {
-    const std::string name = address.substr(address.rfind('/') + 1);
-    if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName ||
-        name == launch::kDeskName)
-      continue;
-    auto answer = ask(address).and_then(parse_xpu_status);
-    if (answer)
-      answers.push_back(std::move(*answer));
-    else  // it ended between the look at the table and the question
-      log::debug("{}", answer.error().to_string());
+std::map<std::string, Coordinated> ask_coordinators(const std::string& run) {
+  std::vector<RunSocket> sockets = run_sockets();
+  std::erase_if(sockets, [&](const RunSocket& at) {
+    return (!run.empty() && at.run != run) || at.name == launch::kEmudName ||
+           at.name == launch::kHubName || at.name == launch::kLiveName ||
+           at.name == launch::kDeskName;
+  });
+  const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
+  const std::string question(reinterpret_cast<const char*>(&kind), sizeof kind);
+  std::map<std::string, Coordinated> runs;
+  std::vector<Result<Answer>> answers = ask(sockets, question, kAnswerMs);
+  for (std::size_t i = 0; i < sockets.size(); ++i) {
+    const auto xpu =
+        answers[i].and_then([](const Answer& answer) { return parse_xpu_status(answer.said); });
+    if (xpu) {
+      Coordinated& of = runs[sockets[i].run];
+      of.uid = answers[i]->uid;
+      of.xpus.push_back(*xpu);
+    } else {  // it ended between the look at the table and the question
+      log::debug("{}", xpu.error().to_string());
+    }
   }
-  return answers;
+  return runs;
 }
 
 std::string claims_text(const Counts& counts) {

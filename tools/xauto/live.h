@@ -4,6 +4,7 @@
 #pragma once
 
 #include <atomic>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -23,27 +24,29 @@ namespace xauto::cli {
 /// A run as its tool introduces it, whoever looks: no root, no BPF.
 struct Watched {
   std::string run, app, platform, scheduling;
+  unsigned uid = 0;  ///< whose it is
   std::shared_ptr<const runtime::Board> board;
 };
-/// Of this network namespace.
+/// Names of runs of this network namespace, or what anybody calls one.
 [[nodiscard]] std::vector<std::string> running();
 /// Of these, those that answer this user.
 [[nodiscard]] std::vector<std::string> ours();
-/// Why a run that goes on (empty: the only one) says nothing: it is somebody else's.
-[[nodiscard]] Status not_of_others(const std::string& name);
-/// Where one of the run's sockets listens; without `name`, what all their addresses begin with.
-[[nodiscard]] std::string address_of(const std::string& run, const std::string& name);
-/// For people: the name, or "uid 1000" where it has none.
-[[nodiscard]] std::string user_name(unsigned uid);
-/// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
+/// Those of `runs` that introduce themselves to this user.
+[[nodiscard]] std::vector<Watched> introduced(const std::vector<std::string>& runs);
+/// The run named `run`, or with an empty name this user's only one, waited for at most `wait_s`. If this user
+/// has none, the only one of others: root is answered by them, too.
 [[nodiscard]] Result<Watched> watch(const std::string& run, int wait_s,
                                     const std::atomic<bool>& stop);
-/// `watch`, of whoever may be somebody else's run: then it says so.
 [[nodiscard]] Result<Watched> find_run(const std::string& name, int wait_s);
 /// Asks the run's tool to change something (launch/desk.h). Returns what was before.
 [[nodiscard]] Result<Json> ask_desk(const Watched& run, const Json& request);
-/// What its coordinators say of their workers; one that is just ending is left out.
-[[nodiscard]] std::vector<XpuStatus> ask_coordinators(const std::string& run);
+/// What a run's coordinators say of their workers.
+struct Coordinated {
+  unsigned uid = 0;  ///< whose it is
+  std::vector<XpuStatus> xpus;
+};
+/// By the run's name, all runs' or of the one that is named; one that is just ending is left out.
+[[nodiscard]] std::map<std::string, Coordinated> ask_coordinators(const std::string& run = {});
 
 /// Of a run by keys: each chain's last and longest reaction of the whole run beside what is claimed
 /// of it, and whether that holds so far. Empty of other runs.

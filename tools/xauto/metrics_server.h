@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// GET /metrics over HTTP/1.1, for one scraper or a few: no thread, nothing that waits. It answers with
+// GET /metrics over HTTP/1.1, for one scraper or a few: nothing that waits. It answers with
 // the text that it was given last. Whoever asks too much, too slowly or does not read is sent away.
 #pragma once
 

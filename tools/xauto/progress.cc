@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
-#include <cstdio>
 
 #include <fmt/format.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/log.h"
 
 #include "xauto/command.h"
 
@@ -29,13 +29,13 @@ bool SearchLine::due(double elapsed_s) const {
 
 void SearchLine::show(double elapsed_s, const std::string& text) {
   next_s_ = elapsed_s + 2;
-  std::fprintf(stderr, "%s%6.1f s   %s%s", terminal_ ? "\r\033[K" : "", elapsed_s, text.c_str(),
-               terminal_ ? "" : "\n");
+  (void)log::show(fmt::format("{}{:6.1f} s   {}{}", terminal_ ? "\r\033[K" : "", elapsed_s, text,
+                              terminal_ ? "" : "\n"));
   drawn_ = terminal_;
 }
 
 void SearchLine::end() {
-  if (drawn_) std::fputs("\r\033[K", stderr);
+  if (drawn_) (void)log::show("\r\033[K");
 }
 
 Progress::Progress(std::string label, double total)
@@ -76,10 +76,9 @@ void Progress::draw(bool last) {
   if (winsize size{}; terminal_ && ioctl(2, TIOCGWINSZ, &size) == 0 && size.ws_col > 0)
     line = line.substr(0, size.ws_col - 1u);
   if (terminal_)
-    std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), last ? "\n" : "\r");
+    (void)log::show("\r\033[K" + line + (last ? "\n" : "\r"));
   else if (!last)
-    std::fprintf(stderr, "%s\n", line.c_str());
-  std::fflush(stderr);
+    (void)log::show(line + "\n");
 }
 
 }  // namespace xauto::cli

@@ -9,7 +9,10 @@
 #include <linux/filter.h>
 #include <linux/seccomp.h>
 #include <signal.h>
+#include <sys/eventfd.h>
 #include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/time.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -139,6 +142,77 @@ TEST(Socket, PacketsAndDescriptorsArrive) {
   client->reset();
   EXPECT_EQ(receive_packet(server->get(), text, sizeof text).error().code, ErrorCode::kUnavailable);
   EXPECT_FALSE(connect_abstract("xauto-test/nobody"));
+}
+
+TEST(Socket, WhoDoesNotReadOrAcceptKeepsNobodyWaiting) {
+  const std::string address = "xauto-test/idle-" + std::to_string(getpid());
+  const auto listener = listen_abstract(address);
+  ASSERT_TRUE(listener);
+  const auto client = connect_abstract(address);
+  ASSERT_TRUE(client);
+  const std::string packet(4096, 'x');
+  Status sent;
+  while (sent) sent = send_packet(client->get(), packet.data(), packet.size());
+  EXPECT_EQ(sent.error().code, ErrorCode::kTimeout);
+  std::vector<UniqueFd> queue;  // until it is full
+  auto next = connect_to_anybody(address);
+  for (; next; next = connect_to_anybody(address)) queue.push_back(std::move(*next));
+  EXPECT_EQ(next.error().code, ErrorCode::kTimeout);
+  EXPECT_EQ(connect_abstract(address, 20).error().code, ErrorCode::kTimeout);
+  // What was taken blocks as usual: the limit was connect()'s alone.
+  EXPECT_EQ(fcntl(client->get(), F_GETFL) & O_NONBLOCK, 0);
+  timeval limit{};
+  socklen_t size = sizeof limit;
+  ASSERT_EQ(getsockopt(client->get(), SOL_SOCKET, SO_SNDTIMEO, &limit, &size), 0);
+  EXPECT_EQ(limit.tv_sec + limit.tv_usec, 0);
+}
+
+TEST(Socket, DescriptorsThatNobodyAskedForNeverBecomeOurs) {
+  int ends[2];
+  ASSERT_EQ(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends), 0);
+  const UniqueFd here(ends[0]), there(ends[1]);
+  ASSERT_TRUE(send_packet(here.get(), "packet", 6, {here.get()}));
+  char text[16];
+  const int next = dup(0);  // the number that it would have
+  close(next);
+  EXPECT_EQ(receive_packet(there.get(), text, sizeof text).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(fcntl(next, F_GETFD), -1);
+}
+
+TEST(Socket, WhatIsServedBySomebodyElseIsNotOurs) {
+  if (geteuid() != 0) GTEST_SKIP() << "needs root, to become somebody else";
+  const std::string address = "xauto-test/theirs-" + std::to_string(getpid());
+  int ends[2];
+  ASSERT_EQ(pipe2(ends, O_CLOEXEC), 0);
+  const UniqueFd ready(ends[0]);
+  UniqueFd told(ends[1]);
+  const pid_t stranger = fork();
+  ASSERT_GE(stranger, 0);
+  if (stranger == 0) {
+    if (setresuid(65534, 65534, 65534) != 0) _exit(1);
+    const auto listener = listen_abstract(address);
+    told.reset();
+    while (listener) pause();
+    _exit(1);
+  }
+  told.reset();
+  char byte;
+  EXPECT_EQ(read(ready.get(), &byte, 1), 0);
+  EXPECT_EQ(connect_abstract(address).error().code, ErrorCode::kPermission);
+  const auto anybody = connect_to_anybody(address);
+  ASSERT_TRUE(anybody);
+  EXPECT_EQ(peer_of(anybody->get())->uid, 65534u);
+  EXPECT_EQ(peer_of(anybody->get())->pid, stranger);
+  kill(stranger, SIGKILL);
+  waitpid(stranger, nullptr, 0);
+}
+
+TEST(Socket, AnEventfdThatWasMadeToBlockIsDrainedWithoutWaiting) {
+  const UniqueFd event(eventfd(0, EFD_CLOEXEC));  // as another process may have made it
+  drain_eventfd(event.get());
+  signal_eventfd(event.get());
+  drain_eventfd(event.get());
+  EXPECT_FALSE(wait_readable(event.get(), 0));
 }
 
 }  // namespace

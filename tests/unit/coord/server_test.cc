@@ -445,6 +445,27 @@ TEST(Server, TellsItsStateInWords) {
   port->finish();
 }
 
+TEST(Server, WhoAsksAndDoesNotReadIsCutOffAndNobodyElseWaits) {
+  Running running(Discipline::kPreemptive);
+  const auto port = running.port(3);
+  for (const MessageKind word : {MessageKind::kStatus, MessageKind::kObserve}) {
+    const auto kind = static_cast<std::uint32_t>(word);
+    const auto asker = connect_abstract(running.address());
+    ASSERT_TRUE(asker);
+    // Until the coordinator has hung up: it neither reads for ever nor waits.
+    Status asked;
+    while (asked || asked.error().code == ErrorCode::kTimeout)
+      asked = send_packet(asker->get(), &kind, sizeof kind);
+    const auto other = connect_abstract(running.address());
+    const auto status = static_cast<std::uint32_t>(MessageKind::kStatus);
+    ASSERT_TRUE(send_packet(other->get(), &status, sizeof status));
+    std::string text(kMaxStatusBytes, '\0');
+    EXPECT_TRUE(receive_packet(other->get(), text.data(), text.size()));
+  }
+  port->start(numbered(3, 7, 5));
+  port->finish();
+}
+
 TEST(Server, RefusesWhatIsNoHello) {
   Running running(Discipline::kPreemptive);
   const auto refused = [&](const void* data, std::size_t bytes) {

@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 #include <poll.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include "base/socket.h"
@@ -109,6 +110,45 @@ TEST_F(HubTest, AMemberThatEndsBeforeItIsReadyIsNotWaitedForOnceItIsSaidToBeGone
   const auto ready = hub_->wait_ready(stop_);
   ASSERT_FALSE(ready);
   EXPECT_EQ(ready.error().where, "process 1 of app 'two'");
+}
+
+TEST(Hub, AMemberThatDoesNotReadKeepsNobodyWaiting) {
+  constexpr std::size_t kTopics = 400;  // more than a socket holds
+  rlimit limit{};
+  getrlimit(RLIMIT_NOFILE, &limit);
+  limit.rlim_cur = limit.rlim_max;
+  setrlimit(RLIMIT_NOFILE, &limit);
+  Graph graph;
+  graph.name = "wide";
+  graph.modules.resize(3);
+  graph.topics.resize(kTopics);
+  Plan plan;
+  plan.processes = 3;
+  plan.process_of = {0, 1, 2};
+  for (std::size_t t = 0; t < kTopics; ++t) {
+    graph.topics[t].spec.name = "topic" + std::to_string(t);
+    graph.topics[t].spec.plain_bytes = 8;
+    plan.topics.push_back({.publisher = 1, .readers = {2}});
+  }
+  Session session;
+  session.hub = "xauto-test/" + std::to_string(getpid()) + "-wide/hub";
+  Host host;
+  auto hub = Hub::create(plan, graph, session, 0, host);
+  ASSERT_TRUE(hub) << hub.error().to_string();
+  const auto deaf = connect_abstract(session.hub);
+  ASSERT_TRUE(say(deaf->get(), Word::kHello, 1));
+  Session second = session;
+  second.process = 2;
+  const auto member = Member::join(plan, graph, second, 0);  // is told of all topics meanwhile
+  EXPECT_TRUE(member) << member.error().to_string();
+  // Who reads late has missed nothing.
+  std::size_t told = 0;
+  for (Packet packet{}; packet.word != static_cast<std::uint32_t>(Word::kBegin);) {
+    std::vector<UniqueFd> fds;
+    ASSERT_TRUE(receive_packet(deaf->get(), &packet, sizeof packet, &fds));
+    told += packet.word == static_cast<std::uint32_t>(Word::kTopic) ? 1 : 0;
+  }
+  EXPECT_EQ(told, kTopics);
 }
 
 TEST_F(HubTest, WhoTalksNonsenseIsCutOffAndNobodyElseIs) {
