@@ -47,7 +47,8 @@ class Stderr {
       dropped_ = 0;
   }
   bool put(std::string_view text) {
-    const std::string whole = (torn_ ? "\n" : "") + std::string(text);
+    std::string whole(torn_ ? 1 : 0, '\n');
+    whole += text;
     const std::size_t taken = write_now(STDERR_FILENO, whole);
     if (taken > 0) torn_ = taken < whole.size() && whole[taken - 1] != '\n';
     return taken == whole.size();

@@ -157,8 +157,10 @@ class Monitor {
     std::vector<std::string> fresh;
     for (const std::string& run : going)
       if (!seen_.contains(run) && (flags_.run.empty() || flags_.run == run)) fresh.push_back(run);
-    for (Watched& watched : introduced(fresh))  // others begin or end, or are somebody else's
-      seen_.try_emplace(watched.run, Seen{std::move(watched), {}, {}});
+    for (Watched& watched : introduced(fresh)) {  // others begin or end, or are somebody else's
+      const std::string run = watched.run;
+      seen_.try_emplace(run, Seen{std::move(watched), {}, {}});
+    }
     std::map<std::string, Coordinated> coordinated = ask_coordinators(flags_.run);
     std::vector<RunLook> looks;
     for (auto& [run, seen] : seen_) {

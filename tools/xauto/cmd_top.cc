@@ -97,7 +97,10 @@ struct XpuState {
 
 std::vector<XpuState> states_of(const std::string& run) {
   std::vector<XpuState> states;
-  for (const XpuStatus& answer : ask_coordinators(run)[run].xpus) {
+  const auto asked = ask_coordinators(run);
+  const auto found = asked.find(run);
+  if (found == asked.end()) return states;
+  for (const XpuStatus& answer : found->second.xpus) {
     XpuState state{answer.xpu, {}, {}};
     for (const WorkerStatus& worker : answer.workers) {
       if (worker.idle() || worker.state == "starting") continue;
