@@ -37,9 +37,10 @@ class Topic {
   /// `name` is the topic's; two topics of one name are the same topic.
   explicit Topic(std::string name) : name_(std::move(name)) {
     // Nothing takes or holds messages without their topic.
-    static_assert(sizeof(T) <= kMaxMessageSize,
-                  "a message of more than xauto::kMaxMessageSize bytes does not fit on a stack: put "
-                  "them into an xauto::Buffer (xauto::Buffered<Info>), or into a std::vector");
+    static_assert(
+        sizeof(T) <= kMaxMessageSize,
+        "a message of more than xauto::kMaxMessageSize bytes does not fit on a stack: put "
+        "them into an xauto::Buffer (xauto::Buffered<Info>), or into a std::vector");
   }
   /// As given.
   [[nodiscard]] const std::string& name() const { return name_; }

@@ -72,7 +72,7 @@
 #define XAUTO_DROP_DIED 4     /* the process of the module died */
 #define XAUTO_DROP_HUNG 5     /* an XNode ran past its hang limit and was given up */
 #define XAUTO_DROP_OFF 6      /* none: the release's table has the module off */
-#define XAUTO_DROP_SKIPPED 7  /* none: it, or a module before it, skips what comes while it is not free, as it was told */
+#define XAUTO_DROP_SKIPPED 7  /* none: told to skip what comes while it, or one before, is busy */
 
 #define XAUTO_EV_NONE 0xffff /* xnode, module, xpu: not applicable */
 
