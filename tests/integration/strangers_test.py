@@ -250,8 +250,8 @@ class Strangers(unittest.TestCase):
                 kept.append(listen(f"xauto/{me}-{number}/0123456789abcdef/{('live', 'cpu0')[number % 2]}"))
             for number, pid in enumerate((tool.pid, os.getppid(), 1, me)):
                 for name in ("live", "cpu0", "desk"):
-                    kept.append(listen(f"xauto/{pid}-{1000 + number}/{name}"))
-                    kept.append(listen(f"xauto/{tool.pid}-0/{number}/{name}"))
+                    kept.append(listen(f"xauto/{pid}-{10 * me + number}/{name}"))
+                    kept.append(listen(f"xauto/{tool.pid}-0/{me}-{number}/{name}"))
             for number in range(20):  # full: who connects waits
                 name = f"xauto/{me}-{2000 + number}/{('live', 'cpu0')[number % 2]}"
                 kept.append(listen(name, 0))
