@@ -80,12 +80,12 @@ Period period_of(Rate rate) {
 }
 
 void set_timer(XModuleSpec& module, std::chrono::microseconds period) {
-  set_timer(module, Period{period.count()});
+  fire_every(module, Period{period.count()});
 }
 void set_timer(XModuleSpec& module, Rate rate) {
-  set_timer(module, period_of(rate));
+  fire_every(module, period_of(rate));
 }
-void set_timer(XModuleSpec& module, Period period) {
+void fire_every(XModuleSpec& module, Period period) {
   if (module.timer) {
     module.misuse.push_back("XModule '" + module.name + "' fires by the clock twice");
     return;

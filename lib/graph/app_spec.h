@@ -114,7 +114,8 @@ struct AppSpecErased {
 
 /// Of a rate as the program says it; not valid() where it cannot be.
 [[nodiscard]] Period period_of(Rate rate);
-void set_timer(XModuleSpec& module, Period period);
+/// Behind XModule::every.
+void fire_every(XModuleSpec& module, Period period);
 
 /// What a module and its XNodes declare, each once, in the order of declaration.
 [[nodiscard]] std::vector<ParameterHandle> parameters_of(const XModuleSpec& module);

@@ -29,16 +29,23 @@ class Keeper {
         lines_.push_back("left: source '" + asked.name + "', which the program does not have");
         continue;
       }
-      if (at->period != asked.period)
+      SourceSpec kept = asked;
+      // A rate cut to whole microseconds is what an earlier profile wrote.
+      if (asked.period.den == 1 && asked.period.num == at->period.floor_us())
+        kept.period = at->period;
+      else if (asked.period != at->period)
         lines_.push_back("kept: source '" + asked.name + "': " + asked.period.text() +
                          " (the program says " + at->period.text() + ")");
-      if (asked.jitter_us != 0 && asked.jitter_us != at->jitter_us)
+      // A measured jitter is only ever the longest that was seen: so is one that was asked for.
+      kept.jitter_us = app_.version > 1 ? std::max(asked.jitter_us, at->jitter_us) : 0;
+      if (asked.jitter_us > at->jitter_us)
         lines_.push_back("kept: source '" + asked.name + "': jitter_us " +
                          std::to_string(asked.jitter_us) +
-                         " (measured: " + std::to_string(at->jitter_us) + ")");
-      const std::int64_t jitter_us = asked.jitter_us != 0 ? asked.jitter_us : at->jitter_us;
-      *at = asked;
-      if (app_.version > 1) at->jitter_us = jitter_us;
+                         " (now measured: " + std::to_string(at->jitter_us) + ")");
+      if (asked.offset_us != 0 || asked.clock != 0 || asked.urgent)
+        lines_.push_back("kept: source '" + asked.name +
+                         "': its offset, clock and urgent releases");
+      *at = std::move(kept);
     }
   }
 
@@ -76,11 +83,22 @@ class Keeper {
       asked.to = xnode;
       kept.push_back(std::move(asked));
     }
-    for (const ChainSpec& fresh : app_.chains)
-      if (std::none_of(kept.begin(), kept.end(), [&](const ChainSpec& k) {
-            return k.from == fresh.from && k.to == fresh.to;
-          }))
-        lines_.push_back("not asked for, and so not in it: chain '" + fresh.name + "'");
+    // A chain to what was there before, and that is not asked for, was left out by hand; one to a new XNode was not.
+    for (const ChainSpec& fresh : app_.chains) {
+      const bool asked = std::any_of(kept.begin(), kept.end(), [&](const ChainSpec& k) {
+        return k.from == fresh.from && k.to == fresh.to;
+      });
+      if (asked) continue;
+      const bool new_end = old_.find(app_.xnodes[static_cast<std::size_t>(fresh.to)].name) < 0;
+      lines_.push_back((new_end ? "new: chain '" : "not asked for, and so not in it: chain '") +
+                       fresh.name + "'");
+      if (new_end) kept.push_back(fresh);
+    }
+    const auto limits = std::count_if(kept.begin(), kept.end(), [](const ChainSpec& c) {
+      return c.deadline_us.has_value() || c.weight != 1;
+    });
+    if (limits > 0)
+      lines_.push_back("kept: deadlines or weights of " + std::to_string(limits) + " chains");
     if (!kept.empty()) app_.chains = std::move(kept);
   }
 

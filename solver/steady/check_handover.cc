@@ -354,6 +354,7 @@ bool same(AppSpec a, AppSpec b) {
   for (AppSpec* app : {&a, &b})
     for (XNodeSpec& x : app->xnodes) {
       x.wcet_us.clear();
+      x.typical_us.clear();
       x.real_on.clear();
       x.variants.clear();
     }

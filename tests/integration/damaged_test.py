@@ -88,15 +88,15 @@ class Damaged(Runs):
             self.assertEqual(done.returncode, 2, done.stderr)
 
     def test_what_is_told_to_skip_is_no_loss_and_counted(self):
-        """C takes 3 ms, and a release comes each ms."""
-        told = {"modules": {"C": {"overload": "skip"}}}
-        for content, flags in ((told, []), ({}, ["--overload", "C=skip"]), (told, ["--isolate"])):
+        """D, which waits for nobody else, takes 3 ms, and a release comes each ms."""
+        told = {"modules": {"D": {"overload": "skip"}}}
+        for content, flags in ((told, []), ({}, ["--overload", "D=skip"]), (told, ["--isolate"])):
             flags = [*flags, *self.deploy(**QUEUES, **content)]
-            run, _ = self.run_app(*flags, "--fail-on", "lost", fault=("slow", "C", 0, 3), period=1000, activations=200)
+            run, _ = self.run_app(*flags, "--fail-on", "lost", fault=("slow", "D", 0, 3), period=1000, activations=200)
             counts = {m["name"]: m for m in run["modules"]}
-            self.assertEqual((run["lost_activations"], counts["C"]["dropped"]), (0, 0), counts)
-            self.assertGreater(counts["C"]["skipped"], 0)
-            self.assertEqual(counts["C"]["activations"] + counts["C"]["skipped"], 200)
+            self.assertEqual((run["lost_activations"], counts["D"]["dropped"]), (0, 0), counts)
+            self.assertGreater(counts["D"]["skipped"], 0)
+            self.assertEqual(counts["D"]["activations"] + counts["D"]["skipped"], 200)
 
     def test_what_is_lost_for_another_reason_is_lost(self):
         run, _ = self.run_app("--overload", "A=skip", "--lockstep", "--fail-on", "lost", fault=("throw", "A", 7), status=1)

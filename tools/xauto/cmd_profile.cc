@@ -401,8 +401,11 @@ void warn_of_cut_rates(const AppSpec& app, const std::string& path) {
 Status write_app(const ProfileFlags& flags, const Profile& profile, const Platform& platform,
                  Outputs& outputs) {
   const std::string& path = flags.app_out;
-  if (!profile.incomplete.empty()) {
-    log::error("{} is not written: the profile is incomplete", path);
+  if (!profile.incomplete.empty() && flags.read.empty()) {
+    log::error(
+        "{} is not written: the profile is incomplete; `xauto profile --read` writes it all the "
+        "same",
+        path);
     return {};
   }
   XAUTO_ASSIGN(AppSpec app, to_app(profile, platform, from_of(flags)));

@@ -15,6 +15,7 @@
 #include <limits>
 #include <map>
 #include <set>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -76,6 +77,31 @@ struct Qos {
   dds_qos_t* qos;
 };
 
+/// What Cyclone says: a line for each packet that is none of DDS's, and anybody on the network sends those. So a line a
+/// second, by a log that nobody waits for. Threads: any. Never destroyed: Cyclone's threads may outlive the bridge.
+class CycloneLog {
+ public:
+  static void take_over() {
+    static auto* const log = new CycloneLog;
+    dds_set_log_sink(
+        [](void* to, const dds_log_data_t* line) { static_cast<CycloneLog*>(to)->tell(*line); },
+        log);
+  }
+
+ private:
+  void tell(const dds_log_data_t& line) {
+    std::string_view text(line.message, line.size);
+    while (text.ends_with('\n')) text.remove_suffix(1);
+    if ((line.priority & DDS_LC_FATAL) != 0) return log::error("Cyclone DDS: {}", text);
+    const Guard lock(mutex_);
+    lines_.tell(text.substr(0, kLongest), now_ns());
+  }
+
+  static constexpr std::size_t kLongest = 200;
+  PiMutex mutex_;
+  log::Refusals lines_ XAUTO_GUARDED_BY(mutex_){"Cyclone DDS"};
+};
+
 class DdsBridge final : public Bridge {
  public:
   static Result<std::unique_ptr<Bridge>> open(const BridgeOptions& options) {
@@ -97,6 +123,7 @@ class DdsBridge final : public Bridge {
         "<CycloneDDS><Domain id=\"any\"><Internal><MaxSampleSize>" + std::to_string(limit) +
         " B</MaxSampleSize></Internal><SharedMemory><Enable>false</Enable></SharedMemory></Domain>"
         "</CycloneDDS>";
+    CycloneLog::take_over();
     const auto domain = static_cast<dds_domainid_t>(options.domain);
     bridge->domain_ = dds_create_domain(domain, config.c_str());
     bridge->participant_ = dds_create_participant(domain, nullptr, nullptr);

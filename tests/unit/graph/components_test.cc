@@ -16,7 +16,7 @@ class Components : public ::testing::Test {
   void source(const std::string& name, int period_ms) {
     detail::SourceSpec spec;
     spec.topic = *detail::topic_spec(Topic<int>(name));
-    spec.period = std::chrono::milliseconds(period_ms);
+    spec.period = {period_ms * std::int64_t{1000}};
     spec.make = [](std::uint64_t, detail::MessageMemory*) { return nullptr; };
     app_.sources.push_back(spec);
   }

@@ -18,11 +18,11 @@ class Deployed : public ::testing::Test {
  protected:
   Deployed() {
     app.name = "drive";
-    app.sources.push_back({*detail::topic_spec(Topic<int>("image")), 10ms,
+    app.sources.push_back({*detail::topic_spec(Topic<int>("image")), Period{10'000},
                            [](std::uint64_t, detail::MessageMemory*) { return nullptr; }});
-    app.sources.push_back({*detail::topic_spec(Topic<int>("rear")), 10ms,
+    app.sources.push_back({*detail::topic_spec(Topic<int>("rear")), Period{10'000},
                            [](std::uint64_t, detail::MessageMemory*) { return nullptr; }});
-    app.sources.push_back({*detail::topic_spec(Topic<double>("rain")), 10ms,
+    app.sources.push_back({*detail::topic_spec(Topic<double>("rain")), Period{10'000},
                            [](std::uint64_t, detail::MessageMemory*) { return nullptr; }});
     auto lanes = add("lanes");
     detail::add_input(*lanes, detail::topic_spec(Topic<int>("image")));

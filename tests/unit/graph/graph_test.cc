@@ -280,7 +280,7 @@ TEST(Graph, AModuleHasTheParametersOfItsXNodesEachOnce) {
   detail::add_parameter(*module, handle);
   detail::add_input(*module, detail::topic_spec(kIn));
   app.modules.push_back(module);
-  app.sources.push_back({*detail::topic_spec(kIn), 10ms, {}});
+  app.sources.push_back({*detail::topic_spec(kIn), Period{10'000}, {}});
   const auto graph = runtime::Graph::build(app);
   ASSERT_TRUE(graph) << graph.error().to_string();
   ASSERT_EQ(graph->modules[0].parameters.size(), 2u);

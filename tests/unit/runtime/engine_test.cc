@@ -226,7 +226,7 @@ TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
   TestApp app;
   const Topic<int> slow("slow");
   app.spec.sources.push_back(
-      {*detail::topic_spec(slow), 3ms,
+      {*detail::topic_spec(slow), Period{3000},
        [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
          return std::make_shared<const int>(static_cast<int>(k));
        }});

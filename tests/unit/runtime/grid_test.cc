@@ -20,7 +20,7 @@ class Example {
     for (const char* name : {"front", "rear", "tick"}) {
       detail::SourceSpec source;
       source.topic = *detail::topic_spec(Topic<int>(name));
-      source.period = std::chrono::microseconds(33'333);
+      source.period = {33'333};
       source.make = [](std::uint64_t, detail::MessageMemory*) {
         return std::make_shared<const int>(0);
       };

@@ -20,7 +20,7 @@ class PushedApp : public TestApp {
  public:
   explicit PushedApp(std::chrono::microseconds distance = 1us) {
     detail::SourceSpec& source = spec.sources.front();
-    source.period = distance;
+    source.period = {distance.count()};
     source.make = nullptr;
     inlet = source.inlet = std::make_shared<detail::Inlet>("camera", distance.count() * 1000);
     camera.emplace(inlet);
@@ -89,7 +89,7 @@ class PushedByKeys : public PushedApp {
     const Topic<int> tick("tick"), a("a/out"), t("t/out");
     spec.modules.clear();
     spec.sources.push_back(
-        {*detail::topic_spec(tick), 10ms,
+        {*detail::topic_spec(tick), Period{10'000},
          [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
            return std::make_shared<const int>(static_cast<int>(k));
          }});
@@ -239,7 +239,7 @@ TEST(Pushed, BesideAPolledSourceBothReleaseOnTheirOwn) {
   PushedApp app;
   const Topic<int> slow("slow");
   app.spec.sources.push_back(
-      {*detail::topic_spec(slow), 20ms,
+      {*detail::topic_spec(slow), Period{20'000},
        [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
          return std::make_shared<const int>(static_cast<int>(k));
        }});

@@ -53,7 +53,8 @@ class TestApp {
   explicit TestApp(Bare) {
     spec.name = "test";
     detail::SourceSpec source{
-        *detail::topic_spec(camera), 1ms,
+        *detail::topic_spec(camera),
+        {1000},
         [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
           return std::make_shared<const int>(static_cast<int>(k));
         }};
