@@ -237,7 +237,7 @@ void Board::tell_unkept(const std::string& text) {
 }
 
 std::string Board::unkept() const {
-  return for_terminal({header_->unkept, strnlen(header_->unkept, kBoardTextBytes)});
+  return for_terminal(valid_utf8({header_->unkept, strnlen(header_->unkept, kBoardTextBytes)}));
 }
 
 void name_line(char (&field)[kBoardNameBytes], const std::string& name) {
@@ -245,7 +245,7 @@ void name_line(char (&field)[kBoardNameBytes], const std::string& name) {
 }
 
 std::string line_name(const char (&field)[kBoardNameBytes]) {
-  return for_terminal({field, strnlen(field, kBoardNameBytes)}, false);
+  return for_terminal(valid_utf8({field, strnlen(field, kBoardNameBytes)}), false);
 }
 
 std::uint64_t Board::settled() const {

@@ -38,6 +38,13 @@ def wait_for(what, probe, tool=None, seconds=60):
     return answer
 
 
+def socket_of(run, name):
+    """Where this socket of the run listens, with the \\0 of an abstract address: one part of it is a secret."""
+    lines = (line.split() for line in pathlib.Path("/proc/net/unix").read_text(errors="replace").splitlines())
+    return "\0" + next(words[7][1:] for words in lines if len(words) == 8 and words[3] == "00010000"
+                       and words[7].startswith(f"@xauto/{run}/") and words[7].endswith(f"/{name}"))
+
+
 def without_bpf():
     """In a child: with BPF `xauto top` says more, and takes up to 10 s where a machine stalls."""
     for capability in (21, 38, 39):  # CAP_SYS_ADMIN, CAP_PERFMON, CAP_BPF, out of the bounding set

@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, QUEUES, XAUTO, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, socket_of, wait_for, xauto
 
 PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
     {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0}]}
@@ -194,9 +194,7 @@ class Refused(Params):
 
     def test_whoever_sends_nonsense_is_answered_and_who_says_nothing_holds_nobody_up(self):
         self.start()
-        address = next(line.split("@")[1] for line in pathlib.Path("/proc/net/unix").read_text().splitlines()
-                       if f"@xauto/{self.run_id}/" in line and line.endswith("/desk") and line.split()[3] == "00010000")
-        address = "\0" + address
+        address = socket_of(self.run_id, "desk")
         for _ in range(20):
             s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             self.addCleanup(s.close)

@@ -142,6 +142,12 @@ TEST(Board, NamesAreUtf8WhateverIsThere) {
   EXPECT_EQ(line_name(board->module(0).name), name + "?");
 }
 
+TEST(Board, NamesDoNotPaintTheTerminalOfWhoLooks) {
+  const auto board = Board::local({1, 1});
+  name_line(board->module(0).name, "\x1b[31mred\n\xc2\x9b");  // C1's "CSI" as UTF-8
+  EXPECT_EQ(line_name(board->module(0).name), "\\x1b[31mred\\x0a\\xc2\\x9b");
+}
+
 TEST(Board, OfAnotherShapeIsRefused) {
   UniqueFd fd;
   ASSERT_TRUE(Board::create({2, 2, 2, 2}, fd));
