@@ -97,7 +97,7 @@ class Runs:
 def attack(runs, rng, wanted):
     """One run; the complaints about it, and how many signals it got."""
     kind, command = runs.command(rng)
-    memory = {name for name in os.listdir("/dev/shm") if "xauto" in name}
+    memory = {name for name in os.listdir("/dev/shm") if "xauto" in name and "fuzz" not in name}
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         tool = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
         seen, sent, said, stopped = {}, 0, [], set()
@@ -154,7 +154,7 @@ def left(pid, seen, memory):
         time.sleep(0.05)
     if f"@xauto/{pid}-" in names:
         bad.append("a socket's name is still there")
-    more = {name for name in os.listdir("/dev/shm") if "xauto" in name} - memory
+    more = {name for name in os.listdir("/dev/shm") if "xauto" in name and "fuzz" not in name} - memory
     return bad + ([f"shared memory is left: {more}"] if more else [])
 
 

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "record/recording.h"
+#include "record/salvage.h"
 
 namespace {
 
@@ -51,6 +52,17 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     else if ((++messages > size && !mcap) || (*message)->topic >= recording->topics().size())
       std::abort();
   }
+  // Whatever is wrong with it, reading on behind it comes to an end, and does not find more than there is.
+  std::uint64_t taken = 0;
+  const auto salvaged = record::salvage(
+      path,
+      [&](const record::Topic& topic, std::int64_t stamp_ns, std::span<const std::byte>) -> Status {
+        if (topic.name.empty() || stamp_ns < 0) std::abort();
+        ++taken;
+        return {};
+      });
+  if (!salvaged || salvaged->messages != taken || (mcap && taken < (status ? messages : 0)))
+    std::abort();
   if (!status && (status.error().what.empty() || status.error().to_string().size() > 4096))
     std::abort();
   return 0;

@@ -83,6 +83,7 @@ class SeveralAtOnce : public ::testing::Test, public ModuleHost {
   void dropped(int, std::uint64_t s, std::uint32_t reason) override {
     say(reason == XAUTO_DROP_FAILED    ? "failed"
         : reason == XAUTO_DROP_OVERRUN ? "overrun"
+        : reason == XAUTO_DROP_SKIPPED ? "skipped"
         : reason == XAUTO_DROP_HUNG    ? "hung"
                                        : "upstream",
         s);
@@ -202,7 +203,7 @@ TEST_F(SeveralAtOnce, OverloadCountsWhenThereIsNoRoom) {
   EXPECT_EQ(log(), " done0 out0 left");
   message(3);
   finish(1);
-  EXPECT_EQ(log(), " run3 done1 out1 left overrun2 skip2 tomb2");
+  EXPECT_EQ(log(), " run3 done1 out1 left skipped2 skip2 tomb2");
   build(2, {Overload::Kind::kNewest, 1}, false);
   for (std::uint64_t k = 0; k < 4; ++k) message(k);
   EXPECT_EQ(log(), " run0 run1 overrun2") << "without numbers it is told at once";

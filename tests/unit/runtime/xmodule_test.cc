@@ -78,6 +78,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
              : reason == XAUTO_DROP_OVERRUN ? " overrun"
              : reason == XAUTO_DROP_HUNG    ? " hung"
              : reason == XAUTO_DROP_OFF     ? " off"
+             : reason == XAUTO_DROP_SKIPPED ? " skipped"
                                             : " upstream") +
             std::to_string(s);
   }
@@ -289,7 +290,7 @@ TEST_F(Fixture, SkipTakesNothingWhileItIsBusy) {
   message(1, 1);
   EXPECT_EQ(log(), " run0");
   module_->finish(only(), true);
-  EXPECT_EQ(log(), " done0 out0 overrun1 skip1 tomb1");
+  EXPECT_EQ(log(), " done0 out0 skipped1 skip1 tomb1");
   message(0, 2);
   message(1, 2);
   EXPECT_EQ(log(), " run2");
@@ -330,7 +331,7 @@ TEST_F(Fixture, ReleasesEndInOrderUnderEveryOverloadPolicy) {
       std::uint64_t expected = 0;
       std::istringstream words(all);
       for (std::string word; words >> word;)
-        for (const char* end : {"done", "overrun", "upstream", "failed"})
+        for (const char* end : {"done", "overrun", "skipped", "upstream", "failed"})
           if (word.rfind(end, 0) == 0) {
             EXPECT_EQ(word, end + std::to_string(expected)) << all;
             ++expected;
