@@ -13,6 +13,7 @@
 #include "modules.h"
 
 using namespace std::chrono_literals;
+using namespace xauto::literals;
 using driving::Frame;
 using driving::make_module;
 using driving::State;
@@ -26,9 +27,11 @@ int main(int argc, char** argv) {
 
   xauto::App app("driving-steady");
   const auto frame = [](std::uint64_t number) { return Frame{number}; };
-  // 33333 us here; steady.json says 30 Hz, and the run goes by it.
-  app.add_source(front, 33333us, frame).add_source(rear, 33333us, frame);
-  app.add_source(lidar, 100ms, frame).add_source(tick, 20ms, frame);
+  app.add_source(front, 30_hz, frame).add_source(rear, 30_hz, frame);
+  app.add_source(lidar, 10_hz, frame).add_source(tick, 50_hz, frame);
+  app.clock(lidar, "lidar");
+  app.deadline(front, steering, 100ms).deadline(rear, steering, 100ms);
+  app.deadline(lidar, steering, 150ms).deadline(tick, steering, 10ms);
 
   const auto out = &State::result;
   app.add_module(make_module("LA").add_input_topic(front).add_output_topic(lanes, out));

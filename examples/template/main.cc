@@ -14,6 +14,7 @@
 #include <xauto/xauto.h>
 
 using namespace std::chrono_literals;
+using namespace xauto::literals;
 using xauto::XPU;
 
 namespace {
@@ -104,7 +105,7 @@ int main(int argc, char** argv) {
 
   std::map<std::uint32_t, unsigned> seen;  // how often so many tracks were alive
   xauto::App app("template");
-  app.add_source(image, 33ms, [](std::uint64_t number) { return Image{number}; });
+  app.add_source(image, 30_hz, [](std::uint64_t number) { return Image{number}; });
   app.add_module(detect);
   app.add_module(track);
   app.on_message(tracks, [&](const Tracks& result, std::uint64_t) { ++seen[result.alive]; });

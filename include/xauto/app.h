@@ -68,9 +68,8 @@ class App {
   /// `urgent(const T&, sequence)`, called after `make` on the same thread, returns true. Where nothing
   /// certifies urgent releases (app.json, policy) they are ordinary ones, and the report tells how
   /// many. Not called in lockstep, with a recorded input, and by `xauto profile`.
-  template <class T, class Make, class Urgent>
-  App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make,
-                  Urgent urgent) {
+  template <class T, class Period, class Make, class Urgent>
+  App& add_source(const Topic<T>& topic, Period period, Make make, Urgent urgent) {
     add_source(topic, period, std::move(make));
     mark_source_spec(
         [urgent = std::move(urgent)](const void* message, std::uint64_t sequence) mutable -> bool {
@@ -83,7 +82,35 @@ class App {
   /// released at once, in the process that has the app's other sources. docs/api.md has the rules.
   template <class T>
   [[nodiscard]] Source<T> add_source(const Topic<T>& topic, Pushed how) {
-    return Source<T>(add_inlet(detail::topic_spec(topic), how.distance));
+    Source<T> source(add_inlet(detail::topic_spec(topic), how.distance));
+    if (how.rate.num > 0) set_source_rate(how.rate);
+    return source;
+  }
+
+  /// What is asked of all chains: what follows from a release, by input topics and samples, has ended
+  /// at most `limit` (1 us to 1e6 s) later. `xauto profile` writes it into app.json; what app.json says
+  /// counts, and a person may change it there. A deadline of a single chain goes before it.
+  App& deadline(std::chrono::microseconds limit);
+  /// The same of the chain from source `from` until `to` is published; or until XModule `end` has ended.
+  template <class From, class To>
+  App& deadline(const Topic<From>& from, const Topic<To>& to, std::chrono::microseconds limit) {
+    add_deadline(detail::topic_spec(from), detail::topic_spec(to), nullptr, limit);
+    return *this;
+  }
+  template <class From, class State>
+  App& deadline(const Topic<From>& from, const XModule<State>& end,
+                std::chrono::microseconds limit) {
+    add_deadline(detail::topic_spec(from), nullptr, end.spec_, limit);
+    return *this;
+  }
+
+  /// Source `source` releases by a clock of its own, e.g. that of a camera, which is at most `ppm`
+  /// (0 to 100 000) faster or slower than its rate says. Sources of one clock keep their distance; those
+  /// of two have none. Without it sources have this machine's clock. As a deadline it goes into app.json.
+  template <class T>
+  App& clock(const Topic<T>& source, std::string name, int ppm = 100) {
+    set_clock(detail::topic_spec(source), std::move(name), ppm);
+    return *this;
   }
 
   /// Calls `callback(const T&, sequence)` for each message on `topic`, on the publishing thread: be
@@ -145,6 +172,9 @@ class App {
                        detail::Make make);
   void mark_source_spec(detail::Judge urgent);  ///< of the source that was added last
   void set_source_rate(Rate rate);              ///< likewise
+  void add_deadline(detail::TopicHandle from, detail::TopicHandle to,
+                    std::shared_ptr<detail::XModuleSpec> module, std::chrono::microseconds limit);
+  void set_clock(detail::TopicHandle source, std::string name, int ppm);
   [[nodiscard]] std::shared_ptr<detail::Inlet> add_inlet(detail::TopicHandle topic,
                                                          std::chrono::microseconds distance);
   void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);

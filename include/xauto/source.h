@@ -8,6 +8,7 @@
 #include <memory>
 #include <utility>
 
+#include <xauto/rate.h>
 #include <xauto/result.h>
 #include <xauto/topic.h>
 
@@ -40,6 +41,7 @@ enum class Release : std::uint8_t {
 /// What pushed() returns, for App::add_source.
 struct Pushed {
   std::chrono::microseconds distance;  ///< see pushed()
+  Rate rate = {0};                     ///< exactly, where `num` is above 0
 };
 
 /// A source whose messages come when they come, `distance` (1 us to 1 h) apart or more. The solver
@@ -47,6 +49,11 @@ struct Pushed {
 /// comes earlier is released all the same; the report counts them.
 [[nodiscard]] inline Pushed pushed(std::chrono::microseconds distance) {
   return {distance};
+}
+
+/// The same of a source that comes at a rate: pushed(30_hz).
+[[nodiscard]] inline Pushed pushed(Rate rate) {
+  return {std::chrono::microseconds(rate.den * 1'000'000 / rate.num), rate};
 }
 
 /// The end of a pushed source at which messages go in; from App::add_source. A handle: copies are

@@ -55,6 +55,15 @@ void App::set_source_rate(Rate rate) {
 void App::mark_source_spec(detail::Judge urgent) {
   data_->spec.sources.back().urgent = std::move(urgent);
 }
+void App::add_deadline(detail::TopicHandle from, detail::TopicHandle to,
+                       std::shared_ptr<detail::XModuleSpec> module,
+                       std::chrono::microseconds limit) {
+  data_->spec.deadlines.push_back(
+      {*from, to ? std::optional(*to) : std::nullopt, std::move(module), limit.count()});
+}
+void App::set_clock(detail::TopicHandle source, std::string name, int ppm) {
+  data_->spec.clocks.push_back({*source, {std::move(name), ppm}});
+}
 std::shared_ptr<detail::Inlet> App::add_inlet(detail::TopicHandle topic,
                                               std::chrono::microseconds distance) {
   auto inlet = std::make_shared<detail::Inlet>(
@@ -66,6 +75,10 @@ void App::add_observer_spec(detail::TopicHandle topic, detail::Observe observe) 
   data_->spec.observers.push_back({*topic, std::move(observe)});
 }
 // NOLINTEND(performance-unnecessary-value-param)
+App& App::deadline(std::chrono::microseconds limit) {
+  data_->spec.deadlines_us.push_back(limit.count());
+  return *this;
+}
 App& App::on_start(std::function<void()> callback) {
   data_->spec.on_start.push_back(std::move(callback));
   return *this;

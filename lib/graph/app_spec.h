@@ -17,6 +17,7 @@
 #include "base/pi_mutex.h"
 #include "base/thread_safety.h"
 #include "graph/inlet.h"
+#include "model/app.h"
 #include "model/message.h"
 #include "model/period.h"
 
@@ -78,6 +79,18 @@ struct SourceSpec {
   Judge urgent = nullptr;  ///< polled: whether a message's release is; empty: none is
 };
 
+/// App::deadline of one chain, App::clock of one source.
+struct DeadlineSpec {
+  TopicSpec from;
+  std::optional<TopicSpec> to;  ///< nullopt: until `module` has ended
+  std::shared_ptr<XModuleSpec> module = nullptr;
+  std::int64_t limit_us = 0;
+};
+struct ClockOfSpec {
+  TopicSpec source;
+  ClockSpec clock;
+};
+
 struct ObserverSpec {
   TopicSpec topic;
   Observe callback;
@@ -108,6 +121,9 @@ struct AppSpecErased {
   std::vector<std::shared_ptr<XModuleSpec>> modules;
   std::vector<SourceSpec> sources;
   std::vector<ObserverSpec> observers;
+  std::vector<std::int64_t> deadlines_us = {};  ///< of every chain; more than one is a mistake
+  std::vector<DeadlineSpec> deadlines = {};
+  std::vector<ClockOfSpec> clocks = {};
   std::vector<std::function<void()>> on_start, on_stop, on_end;
   std::shared_ptr<ModeRequests> modes = std::make_shared<ModeRequests>();
 };

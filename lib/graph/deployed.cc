@@ -66,6 +66,35 @@ std::string modules_of(const AppSpecErased& app) {
   return list;
 }
 
+/// Ends are the program's: of the module that publishes `to` there, and of each of its instances here.
+std::vector<DeadlineSpec> deadlines_of(const AppSpecErased& app, const Deployment& deployment) {
+  std::vector<DeadlineSpec> result;
+  for (DeadlineSpec deadline : app.deadlines) {
+    for (const auto& module : app.modules)
+      if (deadline.to &&
+          std::any_of(module->outputs.begin(), module->outputs.end(),
+                      [&](const OutputSpec& o) { return o.topic.name == deadline.to->name; })) {
+        deadline.module = module;
+        deadline.to.reset();
+      }
+    bool replaced = false;
+    for (const auto& [name, of] : deployment.instances)
+      if (deadline.module != nullptr && of == deadline.module->name) {
+        DeadlineSpec here = deadline;
+        here.module = std::make_shared<XModuleSpec>();
+        here.module->name = name;
+        if (const auto said = deployment.modules.find(name); said != deployment.modules.end())
+          if (const auto to = said->second.remap.find(here.from.name);
+              to != said->second.remap.end())
+            rename(here.from, to->second);
+        result.push_back(std::move(here));
+        replaced = true;
+      }
+    if (!replaced) result.push_back(std::move(deadline));
+  }
+  return result;
+}
+
 }  // namespace
 
 bool renames(const Deployment& deployment) {
@@ -86,6 +115,7 @@ Result<AppSpecErased> deployed(const AppSpecErased& app, const Deployment& deplo
                   kWhere, modules_of(app));
   AppSpecErased result = app;
   result.modules.clear();
+  result.deadlines = deadlines_of(app, deployment);
   for (const auto& module : app.modules) {
     bool replaced = false;
     for (const auto& [name, of] : deployment.instances)

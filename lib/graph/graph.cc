@@ -27,6 +27,8 @@ class Builder {
     connect();
     find_components();
     check_observers();
+    add_clocks();
+    add_deadlines();
     count_parameters();
     order_modules();
     if (!problems_.empty()) {
@@ -300,6 +302,81 @@ class Builder {
         problem("on_message watches topic '" + observer.topic.name + "', which nobody publishes");
       else
         topic(observer.topic, "on_message");
+    }
+  }
+
+  /// The source of that topic, or -1 after a problem: `what` says what asks for it.
+  int source_of(const detail::TopicSpec& spec, const std::string& what) {
+    const auto known = topic_by_name_.find(spec.name);
+    const int source = known == topic_by_name_.end()
+                           ? -1
+                           : graph_.topics[static_cast<std::size_t>(known->second)].source;
+    if (source < 0)
+      problem(what + " topic '" + spec.name + "', which no source releases");
+    else
+      topic(spec, what);
+    return source;
+  }
+
+  void add_clocks() {
+    std::vector<ClockSpec>& clocks = graph_.asks.clocks;
+    std::set<int> said;
+    for (const detail::ClockOfSpec& asked : app_.clocks) {
+      const int source = source_of(asked.source, "App::clock names");
+      if (source < 0) continue;
+      const std::string who = "App::clock of '" + asked.source.name + "'";
+      if (!said.insert(source).second) problem(who + " is said twice");
+      check_name("clock", asked.clock.name);
+      if (asked.clock.name.empty()) problem(who + ": a clock needs a name");
+      if (asked.clock.ppm < 0 || asked.clock.ppm > kMaxPpm)
+        problem(who + ": " + std::to_string(asked.clock.ppm) + " ppm; possible are 0 to " +
+                std::to_string(kMaxPpm));
+      auto at = std::find_if(clocks.begin(), clocks.end(),
+                             [&](const ClockSpec& c) { return c.name == asked.clock.name; });
+      if (at == clocks.end()) at = clocks.insert(clocks.end(), asked.clock);
+      if (*at != asked.clock && asked.clock.name != kMainClock)
+        problem("clock '" + at->name + "' is off by at most " + std::to_string(at->ppm) +
+                " and by at most " + std::to_string(asked.clock.ppm) + " ppm: say one of them");
+      at->ppm = asked.clock.ppm;
+      graph_.sources[static_cast<std::size_t>(source)].clock =
+          static_cast<int>(at - clocks.begin());
+    }
+  }
+
+  void add_deadlines() {
+    const auto in_range = [&](std::int64_t us, const std::string& who) {
+      if (us < 1 || us > kMaxTimeUs)
+        problem(who + ": " + std::to_string(us) + " us; possible are 1 to " +
+                std::to_string(kMaxTimeUs));
+    };
+    if (app_.deadlines_us.size() > 1) problem("App::deadline of all chains is said twice");
+    for (const std::int64_t us : app_.deadlines_us) {
+      in_range(us, "App::deadline");
+      graph_.asks.deadline_us = us;
+    }
+    for (const detail::DeadlineSpec& asked : app_.deadlines) {
+      const int source = source_of(asked.from, "App::deadline begins at");
+      const std::string to = asked.to ? asked.to->name : asked.module->name;
+      const std::string who = "App::deadline from '" + asked.from.name + "' to '" + to + "'";
+      in_range(asked.limit_us, who);
+      const auto ends =
+          std::find_if(graph_.modules.begin(), graph_.modules.end(), [&](const Graph::Module& m) {
+            if (!asked.to) return m.name == to;
+            return std::any_of(m.outputs.begin(), m.outputs.end(), [&](int t) {
+              return graph_.topics[static_cast<std::size_t>(t)].spec.name == to;
+            });
+          });
+      if (ends == graph_.modules.end() || ends->nodes.empty()) {
+        problem(who +
+                (asked.to ? ": no XModule publishes it" : ": that XModule is not in the app"));
+        continue;
+      }
+      if (asked.to) topic(*asked.to, who);
+      if (source < 0) continue;
+      const int xnode = ends->nodes.back();
+      for (const ChainSpec& other : graph_.asks.chains)
+        if (other.from == source && other.to == xnode) problem(who + " is said twice");
+      graph_.asks.chains.push_back({"", source, xnode, asked.limit_us});
     }
   }
 

@@ -51,7 +51,8 @@ struct Graph {
   };
 
   std::string name;
-  std::vector<SourceSpec> sources;   ///< as the App's
+  std::vector<SourceSpec> sources;  ///< as the App's
+  ProgramAsks asks = {};
   std::vector<int> topic_of_source;  ///< [source]
   std::vector<Node> nodes;
   std::vector<Module> modules;

@@ -108,6 +108,16 @@ struct TransferSpec {
   bool operator==(const TransferSpec&) const = default;
 };
 
+/// What a program asks of its app beyond the graph (App::deadline, App::clock); a profile has it, and app.json
+/// begins with it.
+struct ProgramAsks {
+  std::vector<ClockSpec> clocks = {{"main", 0}};  ///< SourceSpec::clock counts these
+  std::optional<std::int64_t> deadline_us = {};   ///< of every chain that has none of its own
+  std::vector<ChainSpec> chains = {};  ///< each with a deadline, without a name; a pair once
+  [[nodiscard]] bool nothing() const { return *this == ProgramAsks{}; }
+  bool operator==(const ProgramAsks&) const = default;
+};
+
 struct AppSpec {
   /// 1: one release of all sources, planned alone. 2: sources that release on and on.
   int version = 1;

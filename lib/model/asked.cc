@@ -66,8 +66,10 @@ class Keeper {
   }
 
   void chains() {
-    app_.deadline_us = old_.deadline_us;
-    if (app_.version == 1) return;
+    if (app_.version == 1) {
+      app_.deadline_us = deadline(old_.deadline_us, app_.deadline_us, "of all");
+      return;
+    }
     std::vector<ChainSpec> kept;
     for (ChainSpec asked : old_.chains) {
       const std::string &from = old_.sources[static_cast<std::size_t>(asked.from)].name,
@@ -81,6 +83,10 @@ class Keeper {
       }
       asked.from = static_cast<int>(source - app_.sources.begin());
       asked.to = xnode;
+      for (const ChainSpec& fresh : app_.chains)
+        if (fresh.from == asked.from && fresh.to == asked.to)
+          asked.deadline_us =
+              deadline(asked.deadline_us, fresh.deadline_us, "of chain '" + asked.name + "'");
       kept.push_back(std::move(asked));
     }
     // A chain to what was there before, and that is not asked for, was left out by hand; one to a new XNode was not.
@@ -119,6 +125,16 @@ class Keeper {
   }
 
  private:
+  using Deadline = std::optional<std::int64_t>;
+  /// The file's goes before the program's.
+  Deadline deadline(const Deadline& in_file, const Deadline& in_program, const std::string& whose) {
+    if (!in_file) return in_program;
+    if (in_program && *in_program != *in_file)
+      lines_.push_back("kept: the deadline " + whose + ": " + std::to_string(*in_file) +
+                       " us (the program says " + std::to_string(*in_program) + ")");
+    return in_file;
+  }
+
   AppSpec& app_;
   const AppSpec& old_;
   std::vector<std::string>& lines_;

@@ -97,6 +97,51 @@ Reading read_reading(const Reader& r) {
   }
   return reading;
 }
+/// Clocks, and which source has which; "main" is the first, and need not be listed.
+void read_clocks(const Reader& root, Profile& profile) {
+  std::vector<ClockSpec>& clocks = profile.asks.clocks;
+  if (root.has("asks") && root["asks"].has("clocks"))
+    root["asks"]["clocks"].each_element(kMaxSources, [&](std::size_t, const Reader& c) {
+      ClockSpec clock{c["name"].text(), c["ppm"].integer(0, kMaxPpm)};
+      if (clock.name == kMainClock)
+        clocks.front() = std::move(clock);
+      else
+        clocks.push_back(std::move(clock));
+    });
+  const NameIndex index = index_by_name(clocks);
+  if (root.has("sources"))
+    root["sources"].each_element(kMaxSources, [&](std::size_t s, const Reader& source) {
+      if (source.has("clock") && s < profile.sources.size())
+        profile.sources[s].clock = read_name(source["clock"], index, "clock", "\"asks\"");
+    });
+}
+
+void read_deadlines(const Reader& asks, const NameIndex& sources, Profile& profile) {
+  if (asks.has("deadline_us"))
+    profile.asks.deadline_us = asks["deadline_us"].integer(1, kMaxTimeUs);
+  const NameIndex xnodes = index_by_name(profile.xnodes);
+  if (asks.has("chains"))
+    asks["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
+      ChainSpec chain;
+      chain.from = read_name(c["from"], sources, "source", "\"sources\"");
+      chain.to = read_name(c["to"], xnodes, "XNode", "the profile");
+      chain.deadline_us = c["deadline_us"].integer(1, kMaxTimeUs);
+      profile.asks.chains.push_back(std::move(chain));
+    });
+}
+
+ordered_json asks_to_json(const Profile& profile) {
+  ordered_json asks = ordered_json::object();
+  for (const ClockSpec& clock : profile.asks.clocks)
+    if (clock != ClockSpec{kMainClock, 0})
+      asks["clocks"].push_back({{"name", clock.name}, {"ppm", clock.ppm}});
+  if (profile.asks.deadline_us) asks["deadline_us"] = *profile.asks.deadline_us;
+  for (const ChainSpec& c : profile.asks.chains)
+    asks["chains"].push_back({{"from", profile.sources[static_cast<std::size_t>(c.from)].name},
+                              {"to", profile.xnodes[static_cast<std::size_t>(c.to)].name},
+                              {"deadline_us", c.deadline_us.value_or(kMaxTimeUs)}});
+  return asks;
+}
 
 }  // namespace
 
@@ -128,6 +173,7 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
                                   });
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
   profile.sources = read_sources(root, true);
+  read_clocks(root, profile);
   const NameIndex source_index = index_by_name(profile.sources);
   if (root.has("incomplete")) profile.incomplete = root["incomplete"].text();
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
@@ -150,6 +196,7 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   profile.edges = read_pairs(root["edges"], index_by_name(profile.xnodes));
   if (root.has("samples"))
     profile.sampled = read_pairs(root["samples"], index_by_name(profile.xnodes));
+  if (root.has("asks")) read_deadlines(root["asks"], source_index, profile);
   if (root.has("in_flight"))
     root["in_flight"].each_member(kMaxXNodes, [&](const std::string& module, const Reader& n) {
       profile.in_flight[module] = n.integer(1, kMaxInFlight);
@@ -260,6 +307,9 @@ std::string to_json(const Profile& profile) {
   if (!c.not_beside.empty()) conditions["not_beside"] = c.not_beside;
   document["margin_pct"] = profile.margin_pct;
   if (!profile.sources.empty()) document["sources"] = sources_to_json(profile.sources);
+  for (std::size_t s = 0; s < profile.sources.size(); ++s)
+    if (const int clock = profile.sources[s].clock; clock != 0)
+      document["sources"][s]["clock"] = profile.asks.clocks[static_cast<std::size_t>(clock)].name;
   if (!profile.incomplete.empty()) document["incomplete"] = profile.incomplete;
   document["xnodes"] = std::move(xnodes);
   const auto name = [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; };
@@ -267,6 +317,7 @@ std::string to_json(const Profile& profile) {
   if (!profile.sampled.empty()) document["samples"] = pairs_to_json(profile.sampled, name);
   if (!profile.in_flight.empty()) document["in_flight"] = profile.in_flight;
   if (!profile.optional.empty()) document["optional"] = profile.optional;
+  if (!profile.asks.nothing()) document["asks"] = asks_to_json(profile);
   return json_document::to_text(document);
 }
 

@@ -118,6 +118,33 @@ Status validate(const Reading& r, std::set<std::string>& files, const std::strin
   return {};
 }
 
+Status validate(const ProgramAsks& asks, const Profile& profile) {
+  XAUTO_TRY(validate_names(asks.clocks, "asks/clocks", "clock"));
+  for (std::size_t c = 0; c < asks.clocks.size(); ++c)
+    XAUTO_TRY(in_range(asks.clocks[c].ppm, 0, kMaxPpm, "a drift in ppm",
+                       "/asks/clocks/" + std::to_string(c) + "/ppm"));
+  for (std::size_t s = 0; s < profile.sources.size(); ++s)
+    if (const int clock = profile.sources[s].clock;
+        clock < 0 || static_cast<std::size_t>(clock) >= asks.clocks.size())
+      return invalid("names an unknown clock", "/sources/" + std::to_string(s) + "/clock");
+  if (asks.deadline_us)
+    XAUTO_TRY(in_range(*asks.deadline_us, 1, kMaxTimeUs, "a deadline in us", "/asks/deadline_us"));
+  std::set<std::pair<int, int>> pairs;
+  for (std::size_t c = 0; c < asks.chains.size(); ++c) {
+    const ChainSpec& chain = asks.chains[c];
+    const std::string where = "/asks/chains/" + std::to_string(c);
+    if (chain.from < 0 || static_cast<std::size_t>(chain.from) >= profile.sources.size())
+      return invalid("names an unknown source", where + "/from");
+    if (chain.to < 0 || static_cast<std::size_t>(chain.to) >= profile.xnodes.size())
+      return invalid("names an unknown XNode", where + "/to");
+    if (!chain.deadline_us) return invalid("has no deadline", where);
+    XAUTO_TRY(
+        in_range(*chain.deadline_us, 1, kMaxTimeUs, "a deadline in us", where + "/deadline_us"));
+    if (!pairs.insert({chain.from, chain.to}).second) return invalid("is there twice", where);
+  }
+  return {};
+}
+
 }  // namespace
 
 Status validate(const Profile& profile) {
@@ -169,6 +196,7 @@ Status validate(const Profile& profile) {
                      [&name = module](const XNodeProfile& x) { return x.module == name; }))
       return fail(ErrorCode::kInvalid, "no XNode is of that module", where);
   }
+  XAUTO_TRY(validate(profile.asks, profile));
   std::set<std::string> optional;
   for (std::size_t k = 0; k < profile.optional.size(); ++k) {
     const std::string where = "/optional/" + std::to_string(k);
@@ -187,6 +215,33 @@ Status validate(const Profile& profile) {
 }
 
 namespace {
+
+/// `app`, the graph of `profile`, of version 2: with rates, clocks, samples, and deadlines of chains.
+Result<AppSpec> with_rates(const Profile& profile, AppSpec app) {
+  for (std::size_t i = 0; i < app.sources.size(); ++i) {
+    app.sources[i] = profile.sources[i];
+    app.sources[i].pushed = false;
+  }
+  app.samples = profile.sampled;
+  app.clocks = profile.asks.clocks;
+  XAUTO_ASSIGN(AppSpec rated, as_version_2(std::move(app)));
+  for (ModuleSpec& module : rated.modules)
+    if (const auto at = profile.in_flight.find(module.name); at != profile.in_flight.end())
+      module.max_in_flight = at->second;
+  for (const ChainSpec& asked : profile.asks.chains) {
+    const auto is_it = [&](const ChainSpec& c) { return c.from == asked.from && c.to == asked.to; };
+    auto chain = std::find_if(rated.chains.begin(), rated.chains.end(), is_it);
+    if (chain == rated.chains.end()) {  // its end is no last XNode
+      rated.chains.push_back(asked);
+      chain = std::prev(rated.chains.end());
+      chain->name = rated.sources[static_cast<std::size_t>(asked.from)].name + " -> " +
+                    rated.xnodes[static_cast<std::size_t>(asked.to)].name;
+    }
+    chain->deadline_us = asked.deadline_us;
+  }
+  XAUTO_TRY(validate(rated));
+  return rated;
+}
 
 /// The longest way through the app where every XNode is on its fastest type: below it releases overlap.
 std::int64_t longest_way_us(const AppSpec& app) {
@@ -210,9 +265,30 @@ std::int64_t longest_way_us(const AppSpec& app) {
 
 }  // namespace
 
+Status can_be_planned(const Profile& profile) {
+  AppSpec app;
+  app.name = profile.app;
+  app.sources = profile.sources;
+  app.edges = profile.edges;
+  for (const XNodeProfile& x : profile.xnodes)
+    app.xnodes.push_back({x.name, x.module, {{"cpu", 1}}, x.sources});
+  auto planned = with_rates(profile, std::move(app));
+  if (planned) return {};
+  Error error = std::move(planned).error();
+  // The place is one in app.json, which is not there yet.
+  return fail(error.code, error.what, profile.app,
+              error.what.find(" joins ") == std::string::npos
+                  ? error.hint
+                  : "read one of them by XModule::add_sampled_topic instead of add_input_topic: "
+                    "the newest, "
+                    "whenever the module fires");
+}
+
 std::string why_version_2(const Profile& profile, const AppSpec& app) {
   if (!profile.sampled.empty()) return "a module samples";
   if (!profile.in_flight.empty()) return "a module has several activations in flight";
+  if (!profile.asks.chains.empty()) return "a chain has a deadline of its own";
+  if (profile.asks.clocks.size() > 1) return "its sources have several clocks";
   std::set<std::pair<std::int64_t, std::int64_t>> periods;
   for (const SourceSpec& source : profile.sources)
     periods.insert({source.period.num, source.period.den});
@@ -271,26 +347,9 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
     app.xnodes.push_back(std::move(spec));
   }
   for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});
+  app.deadline_us = profile.asks.deadline_us;
   XAUTO_TRY(validate(app));
-  if (why_version_2(profile, app).empty()) return app;
-  for (std::size_t i = 0; i < app.sources.size(); ++i) {
-    app.sources[i].period = profile.sources[i].period;
-    app.sources[i].jitter_us = profile.sources[i].jitter_us;
-  }
-  app.samples = profile.sampled;
-  auto periodic = as_version_2(app);
-  if (!periodic) {
-    // Joins of several rates have no such version; what samples has no other.
-    if (!profile.sampled.empty() || !profile.in_flight.empty())
-      return tl::unexpected<Error>(std::move(periodic).error());
-    for (SourceSpec& source : app.sources) source = {source.name, {source.period.floor_us()}};
-    return app;
-  }
-  app = std::move(*periodic);
-  for (ModuleSpec& module : app.modules)
-    if (const auto at = profile.in_flight.find(module.name); at != profile.in_flight.end())
-      module.max_in_flight = at->second;
-  return app;
+  return why_version_2(profile, app).empty() ? app : with_rates(profile, std::move(app));
 }
 
 }  // namespace xauto

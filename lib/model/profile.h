@@ -119,7 +119,8 @@ struct ProfileConditions {
   bool operator==(const ProfileConditions&) const = default;
 };
 
-/// How often the profiler looks how late a thread wakes that releases sensors: SourceSpec::jitter_us is twice the most.
+/// How often at least the profiler looks how late a thread wakes that releases sensors: SourceSpec::jitter_us is twice
+/// the most.
 inline constexpr int kJitterWakeUps = 200;
 
 struct Profile {
@@ -132,11 +133,15 @@ struct Profile {
   std::map<std::string, std::int64_t> in_flight = {};  ///< by module; of others it is 1
   std::vector<std::string> optional = {};              ///< modules; see ModuleSpec::optional
   std::vector<SourceSpec> sources = {};                ///< as AppSpec::sources
-  std::string incomplete = {};                         ///< why it ended early; empty: it did not
+  ProgramAsks asks = {};
+  std::string incomplete = {};  ///< why it ended early; empty: it did not
   bool operator==(const Profile&) const = default;
 };
 
 [[nodiscard]] Status validate(const Profile& profile);
+/// Whether any policy is possible for such a graph, whatever its times: what meets has one rate and one clock, and what
+/// a deadline is asked of has a way. Errors: kInvalid, in the words of a program.
+[[nodiscard]] Status can_be_planned(const Profile& profile);
 
 /// Which statistic of the samples becomes the WCET of app.json.
 enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
@@ -144,8 +149,7 @@ enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
 /// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes,
 /// and the longest median. `platform` gives each
-/// instance its type. A p99 needs kP99Samples. Of version 1 where that says all, else of version 2; where joins
-/// of several rates have none, of version 1.
+/// instance its type. A p99 needs kP99Samples. Of version 1 where that says all, else of version 2.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
                                      WcetFrom from);
 /// What version 1 of its app.json cannot say, or plans as if it were not so, for people; empty: nothing.

@@ -79,6 +79,27 @@ std::vector<std::string> optional_of(const Graph& graph) {
   return optional;
 }
 
+/// The profile of nothing measured yet, without XNodes.
+Profile graph_part(const Graph& graph) {
+  Profile p;
+  p.app = graph.name;
+  p.sources = graph.sources;
+  p.edges = graph.edges;
+  p.sampled = graph.samples;
+  p.in_flight = in_flight_of(graph);
+  p.optional = optional_of(graph);
+  p.asks = graph.asks;
+  return p;
+}
+
+Profile skeleton_of(const Graph& graph) {
+  Profile p = graph_part(graph);
+  for (const Graph::Node& node : graph.nodes)
+    p.xnodes.push_back(
+        {node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources});
+  return p;
+}
+
 /// An XPU instance, and what an XNode has for its type.
 struct Alternative {
   int xpu = -1;
@@ -240,20 +261,14 @@ class Run {
   Profile result(const std::string& incomplete) {
     const Guard lock(mutex_);
     closed_ = true;
-    Profile p;
-    p.app = graph_.name;
+    Profile p = graph_part(graph_);
     p.conditions = conditions(session_);
     p.conditions.readings = readings_;
     p.conditions.beside = beside_;
     p.conditions.not_beside = not_beside_;
     p.margin_pct = session_.margin_pct;
-    p.sources = graph_.sources;
     for (SourceSpec& source : p.sources)
       if (!source.pushed) source.jitter_us = jitter_us_;
-    p.edges = graph_.edges;
-    p.sampled = graph_.samples;
-    p.in_flight = in_flight_of(graph_);
-    p.optional = optional_of(graph_);
     p.incomplete = incomplete;
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
       const Graph::Node& node = graph_.nodes[n];
@@ -643,23 +658,40 @@ class Run {
   std::int64_t jitter_us_ XAUTO_GUARDED_BY(mutex_) = 0;
 };
 
-/// Twice the most by which a thread as the releasing one (its priority, its timers) wakes too late.
-Result<std::int64_t> measure_jitter_us(const std::atomic<bool>& stop) {
-  constexpr std::int64_t kEveryNs = 5'000'000;
-  std::int64_t latest_ns = 0;
-  XAUTO_ASSIGN(std::thread thread, start_thread([&latest_ns, &stop] {
-                 rt::set_timer_slack_1ns();
-                 if (const int fifo = FifoRange::within(rt::highest_fifo()).sources; fifo > 0)
-                   (void)rt::set_fifo(fifo);
-                 const std::int64_t start_ns = now_ns();
-                 for (int i = 1; i <= kJitterWakeUps && !stop.load(); ++i) {
-                   sleep_until_ns(start_ns + i * kEveryNs);
-                   latest_ns = std::max(latest_ns, now_ns() - start_ns - i * kEveryNs);
-                 }
-               }));
-  thread.join();
-  return 2 * latest_ns / 1000 + 1;
-}
+/// A thread like the one that releases (its priority, its timers), beside all that is measured: how late does it wake?
+class WakeUps {
+ public:
+  [[nodiscard]] Status start() {
+    XAUTO_ASSIGN(thread_, start_thread([this] {
+                   rt::set_timer_slack_1ns();
+                   if (const int fifo = FifoRange::within(rt::highest_fifo()).sources; fifo > 0)
+                     (void)rt::set_fifo(fifo);
+                   for (int i = 1; !stop_.load() && (i <= kJitterWakeUps || !enough_.load()); ++i) {
+                     // From now on each time: one that comes late must not make the next ones late.
+                     const std::int64_t due_ns = now_ns() + kEveryNs;
+                     sleep_until_ns(due_ns);
+                     latest_ns_ = std::max(latest_ns_, now_ns() - due_ns);
+                   }
+                 }));
+    return {};
+  }
+  /// Twice the most, once there were kJitterWakeUps.
+  [[nodiscard]] std::int64_t jitter_us() {
+    enough_ = true;
+    thread_.join();
+    return 2 * latest_ns_ / 1000 + 1;
+  }
+  ~WakeUps() {
+    stop_ = true;
+    if (thread_.joinable()) thread_.join();
+  }
+
+ private:
+  static constexpr std::int64_t kEveryNs = 5'000'000;
+  std::atomic<bool> stop_{false}, enough_{false};
+  std::int64_t latest_ns_ = 0;
+  std::thread thread_;
+};
 
 }  // namespace
 
@@ -673,11 +705,14 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
         : graph(std::move(built)), run(app, session, graph) {}
   };
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
+  XAUTO_TRY(can_be_planned(skeleton_of(graph)));
   XAUTO_ASSIGN(auto values, first_values(graph, session.deployment));
   // The thread may be left behind with it.
   auto shared = std::make_shared<Shared>(app, session, std::move(graph));
   shared->run.set_parameters(std::move(values));
   std::future<Status> ended = shared->ended.get_future();
+  WakeUps wake_ups;
+  XAUTO_TRY(wake_ups.start());
   // A thread of its own, so that the caller's priority and affinity stay as they are.
   XAUTO_ASSIGN(std::thread thread, start_thread([shared] {
                  Status status = shared->run.run();
@@ -696,8 +731,7 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   if (incomplete.empty()) {
     thread.join();
     XAUTO_TRY(ended.get());
-    XAUTO_ASSIGN(const std::int64_t jitter_us, measure_jitter_us(stop));
-    shared->run.set_jitter_us(jitter_us);
+    shared->run.set_jitter_us(wake_ups.jitter_us());
     return Profiled{to_json(shared->run.result({})), false};
   }
   thread.detach();
@@ -716,17 +750,8 @@ Status load(const detail::AppSpecErased& app, const Session& session,
 }
 
 Result<std::string> describe(const Graph& graph, const Platform& platform) {
-  Profile p;
-  p.app = graph.name;
+  Profile p = skeleton_of(graph);
   p.conditions.platform = platform.name;
-  p.sources = graph.sources;
-  p.edges = graph.edges;
-  p.sampled = graph.samples;
-  p.in_flight = in_flight_of(graph);
-  p.optional = optional_of(graph);
-  for (const Graph::Node& node : graph.nodes)
-    p.xnodes.push_back(
-        {node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources});
   return to_json(p);
 }
 

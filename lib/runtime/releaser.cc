@@ -479,10 +479,12 @@ std::vector<std::string> Releaser::broken() const {
     const Grid::Source& grid = context_.grid.sources[s];
     const std::string& name = context_.graph.sources[s].name;
     if (seen.late > 0)
-      lines.push_back(fmt::format(
-          "source '{}' was released up to {} us late in {} of {} releases; "
-          "app.json states a jitter of {} us",
-          name, (seen.latest_ns + 999) / 1000, seen.late, seen.of, grid.jitter_ns / 1000));
+      lines.push_back(
+          fmt::format("source '{}' was released up to {} us late in {} of {} releases; "
+                      "app.json states a jitter of {} us: with \"jitter_us\": {} of this source "
+                      "`solve` plans for it",
+                      name, (seen.latest_ns + 999) / 1000, seen.late, seen.of,
+                      grid.jitter_ns / 1000, (seen.latest_ns + 999) / 1000));
     if (seen.off > 0)
       lines.push_back(fmt::format(
           "source '{}' was up to {} us off its grid in {} of {} releases{}; app.json states a "

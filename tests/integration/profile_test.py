@@ -52,6 +52,27 @@ class Case(unittest.TestCase):
         return next(x["on"] for x in self.read("profile.json")["xnodes"] if x["name"] == xnode)
 
 
+class WhatTheProgramAsks(Case):
+    def test_deadlines_and_clocks_stand_in_the_app(self):
+        self.profile("small", "--emulate", app=(str(BIN / "driving-steady"),))
+        app = self.read("app.json")
+        asked = {c["name"]: c["deadline_us"] for c in app["chains"] if "deadline_us" in c}
+        self.assertEqual(asked, {"front -> ctl.act": 100000, "rear -> ctl.act": 100000, "lidar -> ctl.act": 150000,
+                                 "tick -> ctl.act": 10000})
+        self.assertEqual(app["clocks"], [{"name": "lidar", "ppm": 100}])
+        self.assertEqual([s["name"] for s in app["sources"] if s.get("clock") == "lidar"], ["lidar"])
+        self.assertEqual([s.get("rate_hz") for s in app["sources"][:2]], [30, 30])
+        # What a person changes in the file stays, and is told.
+        for chain in app["chains"]:
+            if chain["name"] == "tick -> ctl.act":
+                chain["deadline_us"] = 8000
+        (self.folder / "app.json").write_text(json.dumps(app))
+        again = self.profile("small", "--emulate", app=(str(BIN / "driving-steady"),))
+        self.assertIn("deadline of chain 'tick -> ctl.act': 8000 us (the program says 10000)", again.stdout + again.stderr)
+        self.assertEqual([c["deadline_us"] for c in self.read("app.json")["chains"] if c["name"] == "tick -> ctl.act"],
+                         [8000])
+
+
 class RealAndEmulated(Case):
     def test_profile_solve_run_with_a_stage_that_computes(self):
         self.good("doctor", "--platform-out", "here.json")

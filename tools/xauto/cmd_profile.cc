@@ -259,9 +259,10 @@ std::string table(const Profile& measured, const Platform& platform, WcetFrom fr
   for (const SourceSpec& source : profile.sources)
     if (source.jitter_us > 0) {
       out += fmt::format(
-          "  jitter_us: {}, twice the latest of {} wake-ups of a thread that releases nothing; a "
-          "measurement of an idle app, not a bound\n",
-          source.jitter_us, kJitterWakeUps);
+          "  jitter_us: {}, twice the latest wake-up of a thread like the one that releases, "
+          "beside the measuring; no "
+          "bound\n",
+          source.jitter_us);
       break;
     }
   if (contended) out += contention_table(profile, platform);

@@ -130,5 +130,25 @@ TEST_F(Deployed, NamesThatTheProgramLacksAreRefused) {
   EXPECT_NE(refusal().find("has no topic 'clock/every' to remap"), std::string::npos);
 }
 
+TEST_F(Deployed, DeadlinesFollowInstancesAndRemappedTopics) {
+  app.deadlines.push_back({*detail::topic_spec(Topic<int>("image")),
+                           *detail::topic_spec(Topic<int>("lines")), nullptr, 7});
+  app.deadlines.push_back(
+      {*detail::topic_spec(Topic<int>("image")), std::nullopt, app.modules[1], 9});
+  deployment.instances = {{"left", "lanes"}, {"right", "lanes"}};
+  deployment.modules["left"].remap = {{"lines", "lines"}};
+  deployment.modules["right"].remap = {{"image", "rear"}, {"lines", "rear_lines"}};
+  const auto made = detail::deployed(app, deployment);
+  ASSERT_TRUE(made);
+  const auto graph = runtime::Graph::build(*made);
+  ASSERT_TRUE(graph) << graph.error().what;
+  std::vector<std::pair<std::string, std::int64_t>> ends;
+  for (const ChainSpec& c : graph->asks.chains)
+    ends.emplace_back(graph->nodes[static_cast<std::size_t>(c.to)].name, *c.deadline_us);
+  using Ends = decltype(ends);
+  EXPECT_EQ(ends, (Ends{{"left/lanes.work", 7}, {"right/lanes.work", 7}, {"steer.work", 9}}));
+  EXPECT_EQ(graph->sources[static_cast<std::size_t>(graph->asks.chains[1].from)].name, "rear");
+}
+
 }  // namespace
 }  // namespace xauto

@@ -313,5 +313,53 @@ TEST(Graph, RefusesMoreParametersThanFit) {
   EXPECT_REFUSAL(b, "XModule 'A' has 257 parameters; at most 256 are possible");
 }
 
+/// camera -> A -> mid -> B (two XNodes); lidar is sampled by B.
+struct Deadlines : Builder {
+  Deadlines() {
+    app.add_source(kOther, std::chrono::microseconds(100'000), [](std::uint64_t) { return 0; });
+    app.add_module(XModule<State>("A").add_node(node("a")).add_input_topic(kIn).add_output_topic(
+        kMid, &State::value));
+    app.add_module(end);
+  }
+  XModule<State> end = XModule<State>("B")
+                           .add_node(node("b1"))
+                           .add_node(node("b2"))
+                           .add_input_topic(kMid)
+                           .add_sampled_topic(kOther)
+                           .add_output_topic(kOut, &State::value);
+};
+
+TEST(Graph, DeadlinesAndClocksOfAProgramAreOfItsNames) {
+  Deadlines b;
+  b.app.deadline(90ms)
+      .deadline(kIn, kOut, 50ms)
+      .deadline(kOther, b.end, 70ms)
+      .deadline(kIn, kMid, 5ms);
+  b.app.clock(kIn, "camera").clock(kOther, "main", 7);
+  EXPECT_EQ(b.refusal(), "");
+}
+
+TEST(Graph, RefusesDeadlinesAndClocksOfWhatIsNotThere) {
+  Deadlines b;
+  const Topic<int> gone("gone");
+  b.app.deadline(kMid, kOut, 1ms).deadline(kIn, gone, 1ms).deadline(kIn, XModule<State>("C"), 1ms);
+  b.app.deadline(kIn, kOut, 0ms).deadline(kIn, b.end, 1ms).deadline(0us).deadline(1us);
+  b.app.clock(kMid, "x").clock(kIn, "", 1).clock(kOther, "c", 100'001).clock(kOther, "d");
+  EXPECT_REFUSAL(b, "App::deadline begins at topic 'mid', which no source releases");
+  EXPECT_REFUSAL(b, "App::deadline from 'in' to 'gone': no XModule publishes it");
+  EXPECT_REFUSAL(b, "App::deadline from 'in' to 'C': that XModule is not in the app");
+  EXPECT_REFUSAL(b, "App::deadline from 'in' to 'out': 0 us; possible are 1 to");
+  EXPECT_REFUSAL(b, "App::deadline from 'in' to 'B' is said twice");
+  EXPECT_REFUSAL(b, "App::deadline: 0 us; possible are 1 to");
+  EXPECT_REFUSAL(b, "App::deadline of all chains is said twice");
+  EXPECT_REFUSAL(b, "App::clock names topic 'mid', which no source releases");
+  EXPECT_REFUSAL(b, "App::clock of 'in': a clock needs a name");
+  EXPECT_REFUSAL(b, "App::clock of 'other': 100001 ppm; possible are 0 to 100000");
+  EXPECT_REFUSAL(b, "App::clock of 'other' is said twice");
+  Deadlines two;
+  two.app.clock(kIn, "c", 5).clock(kOther, "c", 6);
+  EXPECT_REFUSAL(two, "clock 'c' is off by at most 5 and by at most 6 ppm");
+}
+
 }  // namespace
 }  // namespace xauto

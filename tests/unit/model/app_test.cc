@@ -286,5 +286,91 @@ TEST(Profile, InstanceThatThePlatformLacksIsNamed) {
   EXPECT_NE(app.error().to_string().find("npu3"), std::string::npos);
 }
 
+/// camera (30 Hz) -> a -> b, lidar (10 Hz) -> c.
+Profile of_two_rates() {
+  Profile p;
+  p.app = "p";
+  const Samples samples{9, 1, 2, 3, 4};
+  p.sources = {{"camera", *Period::of_rate("30")}, {"lidar", {100'000}}};
+  p.xnodes = {{"a", "m", {{"cpu0", samples}}, {0}},
+              {"b", "m", {{"cpu0", samples}}},
+              {"c", "n", {{"cpu0", samples}}, {1}}};
+  p.edges = {{0, 1}};
+  p.asks.deadline_us = 90'000;
+  p.asks.chains = {{"", 0, 1, 50'000}, {"", 0, 0, 20'000}};
+  p.asks.clocks.push_back({"lens", 50});
+  p.sources[0].clock = 1;
+  return p;
+}
+
+TEST(Profile, WhatTheProgramAsksIsInItsApp) {
+  const Profile p = of_two_rates();
+  const auto again = parse_profile(to_json(p), "profile.json");
+  ASSERT_TRUE(again) << again.error().to_string();
+  EXPECT_EQ(*again, p);
+  const auto app = to_app(p, Platform::builtin("small").value(), WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_EQ(app->version, 2);
+  ASSERT_EQ(app->chains.size(), 3u);
+  EXPECT_EQ(app->chains[0].deadline_us, 50'000);
+  EXPECT_EQ(app->chains[1].deadline_us, 90'000) << "no deadline of its own";
+  EXPECT_EQ(app->chains[2].name, "camera -> a");
+  EXPECT_EQ(app->chains[2].deadline_us, 20'000);
+  ASSERT_EQ(app->clocks.size(), 2u);
+  EXPECT_EQ(app->clocks[1], (ClockSpec{"lens", 50}));
+  EXPECT_EQ(app->sources[0].clock, 1);
+  const auto read = parse_app(to_json(*app), "app.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, *app);
+}
+
+TEST(Profile, OfOneReleaseTheDeadlineIsThatOfTheWhole) {
+  Profile p = of_two_rates();
+  p.asks = {};
+  p.asks.deadline_us = 90'000;
+  p.sources[0] = {"camera", {100'000}};
+  const auto app = to_app(p, Platform::builtin("small").value(), WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_EQ(app->version, 1);
+  EXPECT_EQ(app->deadline_us, 90'000);
+}
+
+TEST(Profile, WhatNoPolicyCanHoldIsSaidBeforeItIsMeasured) {
+  Profile p = of_two_rates();
+  EXPECT_TRUE(can_be_planned(p));
+  p.edges.emplace_back(1, 2);
+  p.xnodes[2].sources = {1};
+  EXPECT_FALSE(validate(p)) << "c has a predecessor";
+  p = of_two_rates();
+  p.xnodes[2].sources = {0, 1};
+  const Status join = can_be_planned(p);
+  ASSERT_FALSE(join);
+  EXPECT_NE(join.error().what.find("joins sources 'camera'"), std::string::npos)
+      << join.error().what;
+  EXPECT_NE(join.error().hint.find("XModule::add_sampled_topic"), std::string::npos);
+  p = of_two_rates();
+  p.asks.chains.push_back({"", 1, 1, 1'000});
+  const Status way = can_be_planned(p);
+  ASSERT_FALSE(way);
+  EXPECT_NE(way.error().what.find("does not hear of source 'lidar'"), std::string::npos)
+      << way.error().what;
+}
+
+TEST(Profile, RefusesWhatIsAskedOfNothing) {
+  const auto refused = [](auto&& change) {
+    Profile p = of_two_rates();
+    change(p);
+    return !validate(p);
+  };
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.chains[0].from = 2; }));
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.chains[0].to = 3; }));
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.chains[0].deadline_us.reset(); }));
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.chains[0].deadline_us = 0; }));
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.chains[1] = p.asks.chains[0]; }));
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.clocks[1].ppm = kMaxPpm + 1; }));
+  EXPECT_TRUE(refused([](Profile& p) { p.asks.clocks[1].name = "main"; }));
+  EXPECT_TRUE(refused([](Profile& p) { p.sources[0].clock = 2; }));
+}
+
 }  // namespace
 }  // namespace xauto

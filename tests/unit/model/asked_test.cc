@@ -139,5 +139,22 @@ TEST(Rates, AreExact) {
   static_assert(thousand.num == 1000 && thousand.den == 1);
 }
 
+TEST(Asked, TheFilesDeadlineGoesBeforeTheProgramsWhichFillsIn) {
+  AppSpec fresh = fresh_app();
+  for (ChainSpec& chain : fresh.chains) chain.deadline_us = 40'000;
+  std::vector<std::string> lines;
+  const std::string old = old_app(
+      kSources,
+      R"(, "chains": [{"name": "see", "from": "camera", "to": "b", "deadline_us": 50000}, {"name": "feel", "from": "lidar", "to": "c"}])");
+  const auto app =
+      parse_app(with_what_was_asked(fresh, old, "app.json", lines).value(), "app.json");
+  ASSERT_TRUE(app);
+  EXPECT_EQ(app->chains[0].deadline_us, 50'000);
+  EXPECT_EQ(app->chains[1].deadline_us, 40'000);
+  EXPECT_EQ(std::count(lines.begin(), lines.end(),
+                       "kept: the deadline of chain 'see': 50000 us (the program says 40000)"),
+            1);
+}
+
 }  // namespace
 }  // namespace xauto
