@@ -75,6 +75,25 @@ class Solve(unittest.TestCase):
             self.assertEqual([r["xnode"] for r in told.get("rare_wcets", [])], named)
             self.assertEqual("usually 0.600 ms" in self.solve(app)[1], bool(named))
 
+    def test_scenarios_name_it_too_where_a_deadline_is_missed(self):
+        app, scenarios = self.at / "app.json", self.at / "scenarios.json"
+        scenarios.write_text(json.dumps({"schema": "xauto.scenarios", "version": 1, "app": "a",
+                                         "scenarios": [{"name": "nominal"}, {"name": "slow", "wcet_scale_pct": {"cpu": 150}}]}))
+        for period, deadline, code, named in ((100_000, 40_000, 1, ["spiky"]), (100_000, 90_000, 0, []), (25_000, 40_000, 1, None)):
+            app.write_text(json.dumps({"schema": "xauto.app", "version": 2, "name": "a", "edges": [],
+                "sources": [{"name": "s", "period_us": period}],
+                "chains": [{"name": "c", "from": "s", "to": "spiky", "deadline_us": deadline}], "xnodes": [
+                {"name": "spiky", "module": "m", "source": "s", "wcet_us": {"cpu": 32000}, "typical_us": {"cpu": 600}},
+                {"name": "calm", "module": "n", "source": "s", "wcet_us": {"cpu": 900}, "typical_us": {"cpu": 500}}]}))
+            done = xauto("solve", "--app", app, "--platform", "small", "--scenarios", scenarios, "--tables", 2,
+                         "--time-limit-s", 2)
+            self.assertEqual(done.returncode, code, done.stdout + done.stderr)
+            self.assertEqual("usually 0.600 ms" in done.stdout + done.stderr, named != [], done.stdout + done.stderr)
+            if named is not None:
+                told = json.loads(xauto("solve", "--app", app, "--platform", "small", "--scenarios", scenarios, "--tables",
+                                        2, "--time-limit-s", 2, "--json").stdout)
+                self.assertEqual([r["xnode"] for r in told.get("rare_wcets", [])], named)
+
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
         app = self.app(40, 5)  # not proven within half a minute
         code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600,

@@ -14,6 +14,7 @@
 #include "solver/verify_tables.h"
 
 #include "xauto/outputs.h"
+#include "xauto/rare_wcets.h"
 
 namespace xauto::cli {
 namespace {
@@ -201,6 +202,23 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
         without, tables.changes.size());
 }
 
+bool any_missed(const AppSpec& app, const Tables& tables) {
+  const auto late = [&](const auto& of) { return misses(app, of); };
+  return std::any_of(tables.serves.begin(), tables.serves.end(), late) ||
+         std::any_of(tables.changes.begin(), tables.changes.end(), late) ||
+         !missed_chains(app, tables).empty();
+}
+
+/// The app's own, in whose steps the scenarios' times are counted, on a type where a table has the XNode.
+std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const Tables& tables) {
+  return rare_wcets(app, [&](int xnode, const std::string& type) {
+    return std::any_of(tables.tables.begin(), tables.tables.end(), [&](const Table& table) {
+      const int xpu = table.xpu[static_cast<std::size_t>(xnode)];
+      return xpu >= 0 && platform.xpus[static_cast<std::size_t>(xpu)].type == type;
+    });
+  });
+}
+
 }  // namespace
 
 Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
@@ -220,8 +238,17 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
   asked.tried_all = &tried_all;
   const auto solved = solver::solve_tables(app, platform, list, asked);
   line.end();
-  if (!solved) return tl::unexpected<Error>(solved.error());
+  if (!solved) {
+    if (solved.error().code == ErrorCode::kInfeasible && !options.json)
+      std::fputs(
+          words_of(rare_wcets(app, [](int, const std::string&) { return true; }), app).c_str(),
+          stderr);
+    return tl::unexpected<Error>(solved.error());
+  }
   const Tables& tables = *solved;
+  const bool missed = any_missed(app, tables);
+  const std::vector<RareWcet> rare =
+      missed ? rare_in(app, platform, tables) : std::vector<RareWcet>();
   if (options.json) {
     Json root = Json::parse(to_json(tables, app, platform)).value_or(Json());
     root["worst_regret"] = tables.worst_regret();
@@ -230,18 +257,16 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
     const InstanceMemory memory = memory_of_instances(tables, app, platform);
     root["memory_kb"] = memory.measured > 0 ? Json(memory.kb) : Json();
     root["memory_measured"] = memory.measured;
+    if (!rare.empty()) root["rare_wcets"] = to_json(rare, app);
     std::cout << root.dump(2) << "\n";
   } else {
     print_tables(app, platform, tables, tried_all);
+    std::fputs(words_of(rare, app).c_str(), stdout);
   }
   std::fflush(stdout);
   if (!out.empty()) outputs.write(out, to_json(tables, app, platform));
   if (!options.json && !out.empty() && outputs.good())
     std::printf("\n  written to %s\n", out.c_str());
-  const auto late = [&](const auto& of) { return misses(app, of); };
-  const bool missed = std::any_of(tables.serves.begin(), tables.serves.end(), late) ||
-                      std::any_of(tables.changes.begin(), tables.changes.end(), late) ||
-                      !missed_chains(app, tables).empty();
   return outputs.status(missed ? kAnswerIsNo : kDone);
 }
 
