@@ -1,11 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Mixed-integer models on lp_solve; written out row by row in docs/ilp.md.
-//
-//   solve_ilp          the paper's model, equations 1-6: complete, and good for tiny cases only
-//   solve_ilp_compact  assignment only, with rows for what must fit between a head and a tail.
-//                      No order of XNodes is in it: it gives a lower bound and a good
-//                      assignment, and no schedule
-//   lp_bound           the LP relaxation of the compact model: a bound in milliseconds
+// The paper's model, equations 1-6, on lp_solve: complete, and good for tiny cases only. Written out row by
+// row in docs/ilp.md.
 //
 // Threads: each call owns its model; lp_solve is not shared between calls.
 #pragma once
@@ -26,8 +21,6 @@ struct IlpOptions {
   std::optional<Decision> incumbent = std::nullopt;
   /// A lower bound known from elsewhere; 0: none.
   Time known_bound = 0;
-  /// Longest list of head/tail rows per type (compact model).
-  int max_rows_per_type = 60;
   /// If not empty, the model is written there in lp_format before it is solved (*.mps: free MPS).
   std::string write_model = {};
 };
@@ -47,15 +40,5 @@ struct IlpAnswer {
 
 /// Errors: kInvalid if the model would be too large (rows are O(n^3 m)).
 [[nodiscard]] Result<IlpAnswer> solve_ilp(const Problem& problem, const IlpOptions& options = {});
-[[nodiscard]] Result<IlpAnswer> solve_ilp_compact(const Problem& problem,
-                                                  const IlpOptions& options = {});
-
-/// LP relaxation of the compact model. `share`: the fraction of each XNode on each type,
-/// [xnode * num_types + type].
-struct LpBound {
-  Time bound = 0;
-  std::vector<double> share;
-};
-[[nodiscard]] Result<LpBound> lp_bound(const Problem& problem, const IlpOptions& options = {});
 
 }  // namespace xauto::solver

@@ -37,9 +37,6 @@ int IlpModel::add_binary(const std::string& name) {
   return column;
 }
 
-void IlpModel::set_binary(int column, bool binary) {
-  set_int(lp_, column, binary ? TRUE : FALSE);
-}
 void IlpModel::set_range(int column, double low, double high) {
   set_bounds(lp_, column, low, high);
 }

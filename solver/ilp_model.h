@@ -38,7 +38,6 @@ class IlpModel {
   void at_least(const std::string& name, const std::vector<Term>& terms, double right);
   void at_most(const std::string& name, const std::vector<Term>& terms, double right);
   void equal(const std::string& name, const std::vector<Term>& terms, double right);
-  void set_binary(int column, bool binary);
   void set_range(int column, double low, double high);
   void minimise(int column);
   void minimise(const std::vector<Term>& terms);  ///< each column once
@@ -66,9 +65,5 @@ class IlpModel {
 
   static int asked_to_stop(_lprec*, void* self);
 };
-
-/// Priorities by finish, as the paper takes them; XPUs of `types` by earliest finish, longest tail
-/// first.
-[[nodiscard]] Decision decision_from_types(const Problem& problem, const std::vector<int>& types);
 
 }  // namespace xauto::solver

@@ -24,8 +24,6 @@ constexpr double kForStarts = 0.4;  ///< what the search begins with
 constexpr double kForMoment = 0.1;  ///< each of what comes after the search
 constexpr double kForRefutation = 0.1;  ///< on top: whether a missed deadline has to be missed
 constexpr double kMostRefutationS = 360;
-constexpr double kForPaperModel = 0.7;  ///< of --method ilp; the compact model has the rest
-constexpr double kLeastForIlpS = 0.1;
 /// Above so many XNodes the clock counts even where evaluations are limited.
 constexpr int kHuge = 1000;
 
@@ -120,43 +118,24 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
     report.feasibility = Feasibility::kImpossible;
 }
 
-/// The paper's model while it is small enough to have a chance, then the compact one on what is
-/// left of the time; the better answer and the better bound of both.
+/// Starts from the best quick answer, and keeps it where the model finds no better one.
 Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decision& decision,
                     Time& bound, const Until& until, const std::function<void(Time)>& note_first) {
-  constexpr int kPaperModel = 14;      // XNodes; beyond, lp_solve does not even find an incumbent
-  constexpr int kCompactModel = 1000;  // beyond, lp_solve does not look at its clock for minutes
+  constexpr int kMost = 14;  // beyond, lp_solve does not even find an incumbent
+  if (problem.num_xnodes > kMost)
+    return fail(ErrorCode::kInvalid,
+                "the paper's model is for apps of at most " + std::to_string(kMost) +
+                    " XNodes; this one has " + std::to_string(problem.num_xnodes),
+                "method ilp", "take method auto: it proves more, faster");
   IlpOptions ilp;
+  ilp.time_limit_s = options.time_limit_s;
   ilp.stop = options.stop;
   ilp.incumbent = to_decision(starts(problem, until).front());
   ilp.known_bound = quick_bound(problem, until);
-  decision = *ilp.incumbent;
-  bound = ilp.known_bound;
-  Time best = simulate(problem, decision).makespan;
-  note_first(best);
-  const auto take = [&](const IlpAnswer& answer) {
-    bound = std::max(bound, answer.bound);
-    if (answer.decision && answer.makespan < best) {
-      best = answer.makespan;
-      decision = *answer.decision;
-      ilp.incumbent = decision;
-    }
-    ilp.known_bound = bound;
-  };
-  ilp.time_limit_s = options.time_limit_s;
-  if (problem.num_xnodes <= kPaperModel) {
-    ilp.time_limit_s = options.time_limit_s * kForPaperModel;
-    const auto began = std::chrono::steady_clock::now();
-    XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp(problem, ilp));
-    take(answer);
-    const double used =
-        std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
-    ilp.time_limit_s = std::max(kLeastForIlpS, options.time_limit_s - used);
-  }
-  if (bound < best && problem.num_xnodes <= kCompactModel) {
-    XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp_compact(problem, ilp));
-    take(answer);
-  }
+  note_first(simulate(problem, *ilp.incumbent).makespan);
+  XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp(problem, ilp));
+  decision = *answer.decision;
+  bound = answer.bound;
   return {};
 }
 

@@ -14,15 +14,13 @@ One more is in a guest that keeps time (bench/guest.py, 1 ns an instruction), an
 
     guest-switches a file's text names the scenario, and changes again and again; WCETs are what jobs take
 
-Five more are of tables of keys, with the case's three rates by one clock; they run when they are named:
+Three more are of tables of keys, with the case's three rates by one clock; they run when they are named:
 
     key-switches   as `switches`, but a wish comes when the change before has settled: else it waits, and nothing is claimed
     key-clocks     the same with the LiDAR's own clock, each clock on XPUs of its own
-    key-shared     the same with a slower GPU as well, so that the clocks share XPUs
-    key-gated      the same, but for the slower CPUs, where neither GPU nor DLA preempts
     key-deaths     as `deaths`
 
-    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-shared key-gated key-deaths]
+    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-deaths]
 """
 import argparse
 import bisect
@@ -47,11 +45,6 @@ DEADLINE_PCT = 106  # of the worst case: XAuto and the emulator take 3 % of a re
 STALL_NS = 1_000_000  # kEmulatorStallUs: such a job shows no other clock
 MARGIN_PCT = 115
 KEY_MARGIN_PCT = 130
-SHARED = ("key-shared", "key-gated")
-# `small`, but that nothing but the CPUs preempts.
-GATED = {"schema": "xauto.platform", "version": 1, "name": "gated",
-         "xpus": [{"id": f"cpu{i}", "type": "cpu"} for i in range(4)] +
-                 [{"id": "gpu0", "type": "gpu", "preemptive": False}, {"id": "dla0", "type": "dla", "preemptive": False}]}
 DEATHS_OF_A_DAEMON = 90  # after 100 the tool gives it up
 
 
@@ -73,7 +66,7 @@ class Case:
     """The files of one app, and runs of it."""
 
     def __init__(self, folder, options, part):
-        keys, clocks = part.startswith("key-"), part in ("key-clocks", *SHARED)
+        keys, clocks = part.startswith("key-"), part == "key-clocks"
         self.folder, self.options = pathlib.Path(folder), options
         self.app = json.loads((STEADY if keys else APP).read_text())
         self.program = "/driving-steady" if keys else "/driving"
@@ -83,8 +76,6 @@ class Case:
                 source.pop("clock", None)
             self.app.pop("clocks", None)
         self.write("app.json", self.app)
-        self.platform = "gated.json" if part == "key-gated" else "small"
-        self.write("gated.json", GATED)
         self.deploy()
 
     def write(self, name, value):
@@ -117,10 +108,10 @@ class Case:
         if scenarios:
             self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": self.app["name"], "scenarios": scenarios})
             more = ("--scenarios", "scenarios.json", "--tables", tables)
-        self.xauto("solve", "--app", "app.json", "--platform", self.platform, "--time-limit-s", seconds, "--out", out, *more)
+        self.xauto("solve", "--app", "app.json", "--platform", "small", "--time-limit-s", seconds, "--out", out, *more)
 
     def command(self, policy, *flags):
-        return [self.options.bin + "/xauto", "run", "--app", "app.json", "--platform", self.platform, "--emulate", "--policy", policy,
+        return [self.options.bin + "/xauto", "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", policy,
                 "--deployment", "deployment.json", "--json", *map(str, flags), "--", self.options.bin + self.program]
 
     def run(self, *arguments):
@@ -313,19 +304,15 @@ def key_switches(case, options):
     Here only what the run tells is counted, and the longest result of each chain set beside the largest of its claims."""
     case.with_margin(KEY_MARGIN_PCT)
     # On a slow GPU the two clocks do not fit without each other's XPUs; with margin and at half of its clock not even so.
-    gpu_pct = {"key-clocks": None, "key-shared": 150, "key-gated": 150, "key-switches": 200}[case.part]
-    scenarios = [{"name": "nominal"}]
-    if case.part != "key-gated":  # three of them were not found to have a worst case for each change
-        scenarios.append({"name": "CPUs slow", "wcet_scale_pct": {"cpu": 130}})
-    if gpu_pct:
-        scenarios.insert(1, {"name": "GPU slow", "wcet_scale_pct": {"gpu": gpu_pct}})
+    scenarios = [{"name": "nominal"}, {"name": "CPUs slow", "wcet_scale_pct": {"cpu": 130}}]
+    if not case.own_clocks:
+        scenarios.insert(1, {"name": "GPU slow", "wcet_scale_pct": {"gpu": 200}})
     names = [s["name"] for s in scenarios]
-    case.solve("keys.json", scenarios, len(scenarios), 20 if case.part in SHARED else 10)
+    case.solve("keys.json", scenarios, len(scenarios), 10)
     tables = json.loads((case.folder / "keys.json").read_text())
     settles_s = max(h["settles_us"] for h in tables["handovers"]) / 1e6
-    shared = [] if not case.own_clocks else shared_by_clocks(tables)
-    if (case.part in SHARED) != bool(shared):
-        raise RuntimeError(f"the clocks share {' '.join(shared) or 'nothing'}")
+    if shared := shared_by_clocks(tables) if case.own_clocks else []:
+        raise RuntimeError(f"the clocks share {' '.join(shared)}")
     draw, asked = random.Random(options.seed), names[0]
     with case.running("keys.json"):
         since = time.monotonic()
@@ -338,12 +325,12 @@ def key_switches(case, options):
     chains = {c["name"]: {"results": c["results"], "lost": c["lost"], "max_us": c["latency_us"]["max"],
                           "worst_case_us": c.get("worst_case_us"), "longer_than_claimed": c["longer_than_claimed"]}
               for c in report["chains"]}
-    result = {"asked": options.switches, "seconds": round(seconds, 1), "settles_s": settles_s, "shared": shared, "switches": report["num_switches"],
+    result = {"asked": options.switches, "seconds": round(seconds, 1), "settles_s": settles_s, "switches": report["num_switches"],
               "table_changes": tables_changed(report["switches"]), "why": sorted({s["why"] for s in report["switches"]}),
               "activations": report["activations"], "lost": report["lost_activations"], "chains": chains,
               "broken": report.get("worst_case_broken", []), "claims": report.get("worst_case_of")}
     part = case.part
-    print(f"  {part:12}  {result['switches']} in {seconds:.0f} s, {result['lost']} activations lost; the clocks share {' '.join(shared) or 'nothing'}")
+    print(f"  {part:12}  {result['switches']} in {seconds:.0f} s, {result['lost']} activations lost")
     for name, c in chains.items():
         longest = f"longest {c['max_us'] / 1000:.2f} ms" if c["results"] else "none to measure"
         claim = f"largest claim {c['worst_case_us'] / 1000:.2f} ms" if c["worst_case_us"] else "nothing is claimed"
@@ -538,7 +525,7 @@ def main():
     options = parse()
     os.environ["XAUTO_BIN"] = options.bin
     parts = {"throttle": throttle, "switches": switches, "deaths": deaths, "violations": violations,
-             "guest-switches": guest_switches, "key-switches": key_switches, "key-clocks": key_switches, "key-shared": key_switches, "key-gated": key_switches, "key-deaths": deaths}
+             "guest-switches": guest_switches, "key-switches": key_switches, "key-clocks": key_switches, "key-deaths": deaths}
     result = {}
     for part in options.parts:
         with tempfile.TemporaryDirectory() as folder:

@@ -111,23 +111,6 @@ bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::
   return true;
 }
 
-bool is_of_one_domain(const Problem& p, int m, const std::vector<int>& xpu) {
-  int domain = -1;
-  for (int i = 0; i < p.num_xnodes; ++i) {
-    if (xpu[at(i)] != m) continue;
-    if (domain >= 0 && domain != p.domain_of(i)) return false;
-    domain = p.domain_of(i);
-  }
-  return true;
-}
-
-/// Whether all others of its domain there are before it.
-bool is_last_of_domain(const Problem& p, int m, const std::vector<int>& xpu, int xnode) {
-  for (const int i : p.domains[at(p.domain_of(xnode))].xnodes)
-    if (xpu[at(i)] == m && i != xnode && !p.before(i, xnode)) return false;
-  return true;
-}
-
 /// The urgent releases of one component, on one XPU. Which of its activations they are, nobody knows:
 /// each XNode has the shortest of its windows, which begins up to `slip` after the earliest. Where
 /// windows are deeper than two urgent releases are apart, jobs of two releases may begin at any
@@ -168,10 +151,7 @@ std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
   std::vector<char> shared(at(p.num_xpus), 0);
   for (int i = 0; i < p.num_xnodes; ++i) {
     int& d = domain[at(xpu[at(i)])];
-    // Where anybody may be in the way, no plan says by when a job ends.
-    const bool lets_in = p.lets_in && p.preemptive[at(xpu[at(i)])] == 0;
-    if ((d >= 0 && (d != p.domain_of(i) || lets_in)) || p.urgent[at(i)] != 0)
-      shared[at(xpu[at(i)])] = 1;
+    if ((d >= 0 && d != p.domain_of(i)) || p.urgent[at(i)] != 0) shared[at(xpu[at(i)])] = 1;
     d = p.domain_of(i);
   }
   return shared;
@@ -185,21 +165,13 @@ Tick drift_pad(Tick deepest, std::int64_t ppm) {
 bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
                  const Windows& u, const Charges& charges, Tightest* tightest) {
   // One per domain; of a clock that has been split one per component.
-  std::vector<int> number(p.domains.size() + p.components.size(), -1);
-  std::vector<Pattern> patterns;
+  std::vector<Pattern> patterns(p.domains.size() + p.components.size());
   std::vector<Blocking> blocking;
-  const bool lets_in = p.lets_in && p.preemptive[at(m)] == 0;
-  const bool alone = lets_in && is_of_one_domain(p, m, xpu);
   for (int i = 0; i < p.num_xnodes; ++i) {
     if (xpu[at(i)] != m) continue;
     const Component& c = p.components[at(p.component_of[at(i)])];
     const bool part = p.domains[at(c.domain)].part;
-    int& own = number[part ? p.domains.size() + at(p.component_of[at(i)]) : at(c.domain)];
-    if (own < 0) {
-      own = static_cast<int>(patterns.size());
-      patterns.emplace_back();
-    }
-    Pattern& g = patterns[at(own)];
+    Pattern& g = patterns[part ? p.domains.size() + at(p.component_of[at(i)]) : at(c.domain)];
     g.period = p.domains[at(c.domain)].hyper;
     g.ppm = p.domains[at(c.domain)].ppm;
     Tick longest = 0;
@@ -208,16 +180,10 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
       const Tick work = p.wcet(i, m) + (charges.preempts[s] != 0 ? p.preempt[at(m)] : 0);
       g.deepest = std::max(g.deepest, w.d[s]);
       longest = std::max(longest, w.d[s] - w.e[s]);
-      // Of one domain it is known by whom each job may be blocked (theorem 2).
-      const Tick blocked = alone ? charges.blocked_by[s] : 0;
-      g.jobs.push_back({(c.phase % g.period + n * c.period + w.a[s]) % g.period,
-                        w.d[s] - w.a[s] - blocked, work});
+      g.jobs.push_back(
+          {(c.phase % g.period + n * c.period + w.a[s]) % g.period, w.d[s] - w.a[s], work});
     }
-    if (p.preemptive[at(m)] != 0 || alone) continue;
-    blocking.push_back({longest, p.wcet(i, m)});
-    if (!lets_in) continue;
-    // What it waits for has ended when it begins.
-    blocking.push_back({kForever, p.wcet(i, m), is_last_of_domain(p, m, xpu, i) ? own : -1, 0});
+    if (p.preemptive[at(m)] == 0) blocking.push_back({longest, p.wcet(i, m)});
   }
   // None blocks for longer than the job whose place it takes: its e is earlier by no more than its
   // key.

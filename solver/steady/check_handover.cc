@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Changes of tables, derived again: the walks of check_handover_walk.h for each S and t, where clocks
-// share XPUs what check_handover_shared.h says, and chains followed on what they find.
+// Changes of tables, derived again: the walks of check_handover_walk.h for each S and t, and chains
+// followed on what they find. Nothing follows for a clock that shares an XPU with another one.
 #include "solver/steady/check_handover.h"
 
 #include <algorithm>
@@ -14,7 +14,6 @@
 
 #include "base/index.h"
 #include "solver/steady/check_chains.h"
-#include "solver/steady/check_handover_shared.h"
 #include "solver/steady/check_handover_walk.h"
 #include "solver/steady/check_world.h"
 
@@ -318,22 +317,6 @@ void coarsen(World& w, std::int64_t scale) {
       window = {floor_div(window.a, by), window.d / by, floor_div(window.e, by)};
 }
 
-/// What follows for the clocks of a cluster (theorem 10), and for the parts that are on them: [clock].
-/// Not empty: why nothing does.
-std::string walk_cluster(const shared::Question& ask, int percent, std::int64_t& pairs,
-                         shared::Cluster& cluster, const std::vector<std::vector<Part*>>& parts) {
-  shared::bound_cluster(ask, percent, pairs, cluster);
-  if (!cluster.why.empty()) return cluster.why;
-  for (std::size_t k = 0; k < cluster.clocks.size(); ++k) {
-    const shared::OfClock& of = cluster.clocks[k];
-    for (const shared::Lateness& lateness : of.changes) {
-      const shared::Around around(ask.both, cluster, k, lateness);
-      for (Part* part : parts[at(of.clock)]) follow(ask.both, around, lateness.low + 1, *part);
-    }
-  }
-  return {};
-}
-
 /// The same keys for an app that differs in times.
 KeyPolicy meant_for(KeyPolicy policy, const AppSpec& app) {
   policy.app = app.name;
@@ -379,8 +362,7 @@ Status check_input(const TwoTables& tables, std::int64_t most_jobs) {
 
 }  // namespace checking::tables
 
-Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most_jobs,
-                                      std::int64_t most_pairs) {
+Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most_jobs) {
   namespace own = checking::tables;
   XAUTO_TRY(own::check_input(tables, most_jobs));
   const AppSpec& app_from = tables.app_from;
@@ -399,7 +381,6 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
     steady_us[k] = {std::max(under_p.derived_us, under_q.derived_us), under_p.derived_us};
   }
   const std::int64_t scale = std::min({p.scale, q.scale, larger.scale});
-  const bool coarse = p.scale != scale || q.scale != scale;
   for (checking::World* w : {&p, &q, &larger}) own::coarsen(*w, scale);
   for (std::size_t i = 0; i < p.wcet.size(); ++i)
     if (larger.wcet[i] < p.wcet[i])
@@ -438,28 +419,24 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
   own::Budget budget{most_jobs};
   std::vector<std::string> why(app_from.clocks.size());
   std::vector<std::int64_t> settles_us(app_from.clocks.size(), 0);
-  std::vector<std::vector<own::Part*>> parts(app_from.clocks.size());
-  std::vector<checking::Ticks> hyperperiods(app_from.clocks.size(), 0);
-  std::vector<char> shares(app_from.clocks.size(), 0);
-  const std::vector<std::vector<int>> clusters = checking::shared::clusters(both);
-  for (const std::vector<int>& clocks : clusters)
-    for (const int clock : clocks) shares[at(clock)] = 1;
   for (std::size_t clock = 0; clock < app_from.clocks.size(); ++clock) {
     const auto number = static_cast<int>(clock);
     const std::string& name = app_from.clocks[clock].name;
     const auto hyperperiod = own::hyperperiod_of(both, number);
     if (!hyperperiod) continue;
-    hyperperiods[clock] = *hyperperiod;
+    why[clock] = own::who_shares(both, app_from, number);
+    if (!why[clock].empty()) continue;
     if (*hyperperiod == 0) {
       why[clock] = fmt::format("the hyperperiod of clock '{}' does not fit", name);
       continue;
     }
     const own::Drift drift{app_from.clocks[clock].ppm};
+    std::vector<own::Part*> parts;
     bool done = true;
     for (own::Chain& chain : chains)
       for (own::Part& part : chain.parts) {
         if (part.clock != number) continue;
-        parts[clock].push_back(&part);
+        parts.push_back(&part);
         // A way on one clock is in the chain's own worst cases.
         if (part.source >= 0 && part.last == app_from.chains[chain.index].to)
           part.alone = drift.longest(steady_us[chain.index].second * p.scale);
@@ -467,30 +444,12 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
           done = done && own::follow_alone(both, *hyperperiod, budget.jobs, part);
       }
     checking::Ticks settles = 0;
-    if (!done || (shares[clock] == 0 &&
-                  !own::walk_clock(both, number, *hyperperiod, tables.notice_us * p.scale, budget,
-                                   parts[clock], settles)))
+    if (!done || !own::walk_clock(both, number, *hyperperiod, tables.notice_us * p.scale, budget,
+                                  parts, settles))
       why[clock] =
           fmt::format("clock '{}' takes more jobs than are looked at, or does not settle", name);
     else
       settles_us[clock] = p.us_up(checking::most(settles, drift.ppm));
-  }
-  const checking::shared::Question ask{both, coarse, tables.notice_us * p.scale};
-  const int percent = clusters.empty() ? 0 : checking::shared::slack_percent(ask);
-  std::int64_t pairs = most_pairs;
-  for (const std::vector<int>& clocks : clusters) {
-    checking::shared::Cluster cluster;
-    std::string failed;
-    for (const int clock : clocks) {
-      cluster.clocks.push_back({clock, hyperperiods[at(clock)], {}, {}});
-      if (failed.empty()) failed = why[at(clock)];
-    }
-    if (failed.empty()) failed = own::walk_cluster(ask, percent, pairs, cluster, parts);
-    for (const int clock : clocks)
-      if (failed.empty())
-        settles_us[at(clock)] = p.us_up(cluster.settles);
-      else
-        why[at(clock)] = own::who_shares(both, app_from, clock) + ", and " + failed;
   }
   for (const std::int64_t of_clock : settles_us)
     proof.settles_us = std::max(proof.settles_us, of_clock);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a change of tables may cost, derived again from apps, platform and keys alone
-// (docs/steady-state.md, theorems 8 and 10). Shares no code with the solver's handover.cc.
+// (docs/steady-state.md, theorem 8). Shares no code with the solver's handover.cc.
 #pragma once
 
 #include <cstdint>
@@ -36,10 +36,8 @@ struct HandoverProof {
   std::vector<std::string> why_not;            ///< for whom nothing follows, a line each
 };
 
-/// kInvalid: the input makes no sense. `most_jobs`: of all walks together; `most_pairs`: of what is
-/// looked at where clocks share XPUs. Beyond them nothing follows.
+/// kInvalid: the input makes no sense. `most_jobs`: of all walks together; beyond them nothing follows.
 [[nodiscard]] Result<HandoverProof> derive_handover(const TwoTables& tables,
-                                                    std::int64_t most_jobs = 50'000'000,
-                                                    std::int64_t most_pairs = 400'000'000);
+                                                    std::int64_t most_jobs = 50'000'000);
 
 }  // namespace xauto::solver::steady

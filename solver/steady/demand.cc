@@ -20,6 +20,11 @@ Tick shortest(Tick length, const Pattern& g) {
   return length - static_cast<Tick>(lost);
 }
 
+/// A function of the length of an interval: `value` from `length` on. Both rise.
+struct Step {
+  Tick length, value;
+};
+
 /// Largest value up to each length.
 void envelope(std::vector<Step>& steps) {
   std::sort(steps.begin(), steps.end(), [](const Step& a, const Step& b) {
@@ -92,18 +97,7 @@ Tick block(const std::vector<Blocking>& blocking, Tick length) {
   return longest;
 }
 
-/// Together with the demand of its own pattern where that is known.
-Tick block(const std::vector<Blocking>& blocking, Tick length, const std::vector<Tick>& demand) {
-  Tick longest = 0;
-  for (const Blocking& b : blocking) {
-    if (b.until <= length) continue;
-    const Tick of = b.pattern < 0 ? 0 : demand[static_cast<std::size_t>(b.pattern)];
-    longest = std::max(longest, b.work - (b.pattern < 0 ? 0 : of - std::min(of, b.beside)));
-  }
-  return longest;
-}
-
-/// Walks the sum of the curves `of`; `visit(length, sum, each)` at each step, false ends it.
+/// Walks the sum of the curves `of`; `visit(length, sum)` at each step, false ends it.
 template <class Visit>
 void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const Visit& visit) {
   std::vector<std::size_t> next(all.size(), 0);
@@ -126,7 +120,7 @@ void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const V
         value[g] = steps[next[g]++].value;
       sum += value[g];
     }
-    if (!visit(length, sum, value)) return;
+    if (!visit(length, sum)) return;
   }
 }
 
@@ -135,7 +129,7 @@ void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const V
 Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick known) {
   Tick sum_before = blocked;
   bool first = true;
-  walk(all, &Curves::arrived, [&](Tick length, Tick sum, const std::vector<Tick>& /*each*/) {
+  walk(all, &Curves::arrived, [&](Tick length, Tick sum) {
     // Until this step the sum was `sum_before`.
     if (!first && sum_before <= length) return false;
     first = length <= 0;  // everything that arrives at once
@@ -146,70 +140,6 @@ Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick known) {
 }
 
 }  // namespace
-
-bool demand_curve(Pattern& g, Tick horizon, std::int64_t& budget, std::vector<Step>& due) {
-  sort_by_arrival(g);
-  Curves both;
-  auto left = static_cast<std::size_t>(std::max<std::int64_t>(0, budget));
-  const bool known = curves(g, horizon, left, both);
-  budget = known ? static_cast<std::int64_t>(left) : -1;
-  due = std::move(both.due);
-  return known;
-}
-
-bool Lack::find(std::vector<Pattern>& patterns, std::vector<Blocking> blocking) {
-  blocking_ = std::move(blocking);
-  std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
-  Tick horizon = 1, blocked = 0;
-  for (const Blocking& b : blocking_) blocked = std::max(blocked, b.work);
-  for (Pattern& g : patterns) {
-    sort_by_arrival(g);
-    for (const WindowedJob& job : g.jobs) horizon = std::max(horizon, 2 * job.work);
-  }
-  std::size_t budget = kMostSteps;
-  std::vector<Curves> all(patterns.size());
-  for (horizon += 2 * blocked; horizon < kForever; horizon *= 2) {
-    Tick known = horizon;
-    for (std::size_t g = 0; g < patterns.size(); ++g) {
-      if (!curves(patterns[g], horizon, budget, all[g])) return false;
-      known = std::min(known, shortest(horizon - patterns[g].slip, patterns[g]));
-    }
-    // What fits with the longest blocking leaves no lack beyond.
-    const Tick end = busy_end(all, blocked, known);
-    if (end == kNoTick) continue;
-    over_.assign(1, {0, 0, 0});
-    bool fits = true;
-    walk(all, &Curves::due, [&](Tick length, Tick sum, const std::vector<Tick>& /*each*/) {
-      if (length > end) return false;
-      fits = sum <= length;
-      if (!fits) return false;
-      over_.push_back({length, sum, 0});
-      return true;
-    });
-    if (!fits) return false;
-    Tick most = 0;
-    none_from_ = 0;
-    for (std::size_t k = over_.size(); k-- > 0;) {
-      Over& o = over_[k];
-      const Tick total = o.value + block(blocking_, o.length);
-      most = o.most = std::max(most, total - o.length);
-      if (total <= o.length) continue;
-      const Tick next = k + 1 < over_.size() ? over_[k + 1].length : end;
-      none_from_ = std::max(none_from_, std::min(next, total));
-    }
-    return true;
-  }
-  return false;
-}
-
-Tick Lack::from(Tick length) const {
-  if (length >= none_from_) return 0;
-  const auto next = std::upper_bound(over_.begin(), over_.end(), length,
-                                     [](Tick l, const Over& o) { return l < o.length; });
-  const Tick later = next == over_.end() ? 0 : next->most;
-  const Tick value = next == over_.begin() ? 0 : (next - 1)->value;
-  return std::max(later, value + block(blocking_, length) - length);
-}
 
 bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& blocking,
                  Tightest* tightest) {
@@ -249,9 +179,9 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
     bool fits = true;
     if (tightest != nullptr) *tightest = {};
     const Tick end = busy_end(all, blocked, known);
-    walk(all, &Curves::due, [&](Tick length, Tick sum, const std::vector<Tick>& each) {
+    walk(all, &Curves::due, [&](Tick length, Tick sum) {
       if (length > known || (end != kNoTick && length > end)) return false;
-      const Tick demand = sum + block(blocking, length, each);
+      const Tick demand = sum + block(blocking, length);
       if (tightest != nullptr &&
           (tightest->demand == 0 || length - demand < tightest->length - tightest->demand))
         *tightest = {length, demand};

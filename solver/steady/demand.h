@@ -35,39 +35,9 @@ struct Pattern {
   std::vector<WindowedJob> jobs;
 };
 
-/// A function of the length of an interval: `value` from `length` on. Both rise.
-struct Step {
-  Tick length, value;
-};
-/// dbf_g of one pattern, for lengths up to `horizon`; sorts its jobs. Takes of `budget`, a step each. False:
-/// that does not suffice.
-[[nodiscard]] bool demand_curve(Pattern& g, Tick horizon, std::int64_t& budget,
-                                std::vector<Step>& due);
-
 struct Blocking {
   Tick until = 0;  ///< d_j - e_j: it blocks intervals shorter than this
   Tick work = 0;
-  int pattern =
-      -1;  ///< whose it is, where it is known by how much others of that are then in the interval
-  Tick beside = 0;  ///< at most
-};
-
-/// By how much demand and blocking together are above the length of an interval.
-class Lack {
- public:
-  /// False: the demand alone is above some length, or it takes too many steps to know.
-  [[nodiscard]] bool find(std::vector<Pattern>& patterns, std::vector<Blocking> blocking);
-  /// The most of all intervals that are not shorter than `length`; 0: never. It does not rise.
-  [[nodiscard]] Tick from(Tick length) const;
-
- private:
-  struct Over {
-    Tick length, value;  ///< the demand from here on
-    Tick most;           ///< at this step and all later ones
-  };
-  std::vector<Over> over_;
-  std::vector<Blocking> blocking_;
-  Tick none_from_ = 0;  ///< no lack at this length or a longer one
 };
 
 /// The interval in which least is left.

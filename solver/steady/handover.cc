@@ -4,14 +4,11 @@
 #include <algorithm>
 
 #include "solver/steady/chains.h"
-#include "solver/steady/handover_shared.h"
 #include "solver/steady/handover_walk.h"
 
 namespace xauto::solver::steady {
 namespace {
 
-using handover::Cluster;
-using handover::MaybeLate;
 using handover::Unchanged;
 using handover::Walk;
 
@@ -91,26 +88,17 @@ std::string refuses(const HandoverInput& in, int d) {
   if (p.any_urgent) return "releases may be urgent";
   if (p.domains[at(d)].part)
     return "clock '" + p.clock_name[at(p.domains[at(d)].clock)] + "' has too long a hyperperiod";
-  return {};
-}
-
-/// Domains that share XPUs, directly or through others; most are alone.
-std::vector<std::vector<int>> clusters(const HandoverInput& in) {
-  const Problem& p = in.now;
-  std::vector<int> of(p.domains.size());  // the least of those with it
-  for (std::size_t d = 0; d < of.size(); ++d) of[d] = static_cast<int>(d);
-  std::vector<int> user(at(p.num_xpus), -1);
+  // Of two clocks no phase is known, so no order of their jobs can be walked.
+  std::vector<char> own(at(p.num_xpus), 0);
+  for (const int i : p.domains[at(d)].xnodes)
+    own[at(in.from_xpu[at(i)])] = own[at(in.to_xpu[at(i)])] = 1;
   for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : {in.from_xpu[at(i)], in.to_xpu[at(i)]}) {
-      if (user[at(m)] < 0) user[at(m)] = p.domain_of(i);
-      const auto [least, most] = std::minmax(of[at(user[at(m)])], of[at(p.domain_of(i))]);
-      for (const int with = most, into = least; int& o : of)
-        if (o == with) o = into;
-    }
-  std::vector<std::vector<int>> all(of.size());
-  for (std::size_t d = 0; d < of.size(); ++d) all[at(of[d])].push_back(static_cast<int>(d));
-  std::erase_if(all, [](const std::vector<int>& c) { return c.empty(); });
-  return all;
+    for (const int m : {in.from_xpu[at(i)], in.to_xpu[at(i)]})
+      if (p.domain_of(i) != d && own[at(m)] != 0)
+        return "clock '" + p.clock_name[at(p.domains[at(d)].clock)] + "' shares " +
+               p.xpu_name[at(m)] + " with clock '" +
+               p.clock_name[at(p.domains[at(p.domain_of(i))].clock)] + "'";
+  return {};
 }
 
 /// Where t may be, in pieces: no key of the first table is inside of one.
@@ -141,27 +129,6 @@ void follow_unchanged(const HandoverInput& in, const Domain& domain, std::vector
       part.worst = std::max(part.worst, follow(p, part, to, k));
     }
     part.worst = std::max(part.worst, part.unchanged);
-  }
-}
-
-/// By theorem 10.
-void follow_late(const HandoverInput& in, int d, const Cluster& cluster, std::vector<Part>& parts) {
-  const Problem& p = in.now;
-  const Domain& domain = p.domains[at(d)];
-  const Unchanged from{p, in.from, domain.ppm}, to{p, in.to, domain.ppm};
-  follow_unchanged(in, domain, parts);
-  for (const handover::LateAround& around : cluster.lateness(d).around) {
-    const MaybeLate times{from, to, around, in, cluster, d};
-    // From then on all is as late as ever, and repeats.
-    const Tick still = around.last_rise();
-    for (Part& part : parts) {
-      const Component& of = p.components[at(p.component_of[at(part.begins)])];
-      const Tick longest = part.unchanged + times.most_hold(part.begins);
-      std::int64_t k = floor_div(around.since - longest - of.phase, of.period) - 1;
-      const Tick end = still + domain.hyper + (part.first ? 0 : of.period);
-      for (; of.phase + k * of.period <= end; ++k)
-        part.worst = std::max(part.worst, follow(p, part, times, k));
-    }
   }
 }
 
@@ -203,37 +170,22 @@ HandoverBound bound_handover(const HandoverInput& in, std::int64_t most_jobs, co
     ways.emplace_back(chain.paths.size(), 0);
   }
   std::vector<std::vector<Part>> parts = parts_of(p);
-  const auto add = [&](int d, Tick settles, const std::string& why) {
-    if (why.empty()) bound.settles = std::max(bound.settles, settles);
+  for (int d = 0; d < static_cast<int>(p.domains.size()); ++d) {
+    std::string why = refuses(in, d);
+    Tick settles = 0;
+    if (why.empty() && !walk_all(in, d, most_jobs, until, parts[at(d)], settles))
+      why = "clock '" + p.clock_name[at(p.domains[at(d)].clock)] +
+            "' was not seen to settle, as far as jobs were looked at";
+    const std::int64_t ppm = p.domains[at(d)].ppm;
+    if (why.empty()) bound.settles = std::max(bound.settles, in_slow_time(settles, ppm));
     for (const Part& part : parts[at(d)]) {
       Tick& way = ways[part.chain][part.way];
       if (!why.empty())
         way = kNoTick;
       else if (way != kNoTick)
-        way += in_slow_time(part.worst, p.domains[at(d)].ppm);
+        way += in_slow_time(part.worst, ppm);
     }
     if (!why.empty()) bound.why_not.push_back(why);
-  };
-  std::int64_t pairs = handover::kMostPairs;
-  for (const std::vector<int>& domains : clusters(in)) {
-    std::string why;
-    for (const int d : domains)
-      if (why.empty()) why = refuses(in, d);
-    if (domains.size() > 1) {
-      Cluster cluster(in, domains);
-      if (why.empty()) why = cluster.derive(pairs, until);
-      for (const int d : domains) {
-        if (why.empty()) follow_late(in, d, cluster, parts[at(d)]);
-        add(d, cluster.settles(), why);
-      }
-      continue;
-    }
-    const int d = domains.front();
-    Tick settles = 0;
-    if (why.empty() && !walk_all(in, d, most_jobs, until, parts[at(d)], settles))
-      why = "clock '" + p.clock_name[at(p.domains[at(d)].clock)] +
-            "' was not seen to settle, as far as jobs were looked at";
-    add(d, in_slow_time(settles, p.domains[at(d)].ppm), why);
   }
   for (std::size_t c = 0; c < ways.size(); ++c)
     for (const Tick way : ways[c])

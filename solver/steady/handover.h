@@ -4,8 +4,7 @@
 //
 // For each instant S of a hyperperiod at which it may go over, and each instant t shortly before at
 // which jobs may have begun to take longer, the jobs of both tables are walked by their keys: by when
-// is each ready, by when done, until all are in time again. Where clocks share XPUs, theorem 10 bounds by
-// how much all jobs may be late (handover_shared.h).
+// is each ready, by when done, until all are in time again. Where clocks share XPUs nothing follows.
 #pragma once
 
 #include <cstdint>

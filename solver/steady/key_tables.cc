@@ -24,7 +24,6 @@ struct KeyTable {
   KeyPolicy policy;            ///< of what that leaves of the scenario's app, and its platform
   double value = 0;            ///< of its worst cases, what is compared
   std::vector<double> regret;  ///< [scenario]
-  bool for_all = false;        ///< of all scenarios together
 };
 
 /// How one of them is searched.
@@ -33,7 +32,6 @@ struct How {
   int slack_pct = 0;           ///< every WCET counts as longer by so much
   bool in_time = false;        ///< it may end where every chain keeps its deadline
   bool together = false;       ///< clocks may share XPUs, also where each one has its own
-  bool lets_in = false;        ///< with room for whom lateness lets in (Options::lets_in)
 };
 
 // ---- constants of the search --------------------------------------------------------------------
@@ -42,10 +40,8 @@ struct How {
 
 /// Share of the time limit for changes; and where some change has no worst case yet.
 constexpr double kForChanges = 0.2, kForClaims = 0.4;
-/// Slices that it is cut into, each for one search. A search for slack has two of them, one for
-/// room, which takes longer to find, three; all worst cases of changes at once have four.
-constexpr double kSlicesForChanges = 12, kSlicesForSlack = 2, kSlicesForRoom = 3;
-constexpr double kSlicesForHandovers = 4;
+/// Slices that it is cut into, each for one search; all worst cases of changes at once have four.
+constexpr double kSlicesForChanges = 12, kSlicesForHandovers = 4;
 /// XPUs of its own for each clock. Share of the limit for one split; so many of it for the search
 /// where clocks share them; share for all splits.
 constexpr double kForSplit = 1.0 / 200, kSplitsForShared = 4, kForSplits = 0.25;
@@ -64,9 +60,8 @@ constexpr double kLeastSearchS = 0.02, kLeastForTableS = 0.05, kLeastForWholeS =
 // changes, per table.
 constexpr int kTableRounds = 12, kChangeRounds = 3;
 
-/// Slack of each XPU, percent, in tables of clocks that share it. The latter is what theorem 10
-/// asks for, and tried where the former is too much.
-constexpr int kSlackPct = 3, kLeastSlackPct = 1;
+/// Slack of each XPU, percent, in tables whose changes do not settle without.
+constexpr int kSlackPct = 3;
 /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed
 /// of them, or fewer deadlines are missed.
 constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
@@ -123,7 +118,7 @@ class KeyTablesSearch {
     return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
   }
 
-  /// A change is short, and takes no slack, where clocks share no XPU: for each type, how many of its
+  /// A change has a worst case where clocks share no XPU: for each type, how many of its
   /// XPUs each clock has. Of the first splits, as many as there is time for, the one that costs least under the
   /// first scenario. It is taken where that is at most kMostForClaims, or where no chain misses its
   /// deadline by it: a change that is not certified may miss all of them.
@@ -236,21 +231,14 @@ class KeyTablesSearch {
     solving.stop = how.in_time ? &enough : options_.stop;
     solving.hint = hint;
     solving.keep = how.keep;
-    solving.lets_in = how.lets_in;
     AppSpec app = app_under(app_, scenario, loss);
-    if (how.slack_pct > 0) lengthen(app, left, how.slack_pct);
+    if (how.slack_pct > 0) lengthen(app, how.slack_pct);
     return solve(app, left, solving);
   }
 
-  /// Every WCET longer by so much, and by what a preemption costs: what theorem 10 asks for.
-  static void lengthen(AppSpec& app, const Platform& platform, int pct) {
+  static void lengthen(AppSpec& app, int pct) {
     for (XNodeSpec& xnode : app.xnodes)
-      for (auto& [type, us] : xnode.wcet_us) {
-        std::int64_t cost = 0;
-        for (const Xpu& xpu : platform.xpus)
-          if (xpu.type == type && xpu.preemptive) cost = std::max(cost, xpu.preempt_us);
-        us = ((us + cost) * 100 + (100 - pct) - 1) / (100 - pct);
-      }
+      for (auto& [type, us] : xnode.wcet_us) us = (us * 100 + (100 - pct) - 1) / (100 - pct);
   }
 
   /// The least that was found with which each chain that is left keeps its deadline; all that the app
@@ -345,7 +333,6 @@ class KeyTablesSearch {
                   options_.threads, options_.seed, nullptr);
     if (!answer || answer->outcome != Outcome::kPolicy) return;
     add(envelope, loss, answer->policy);
-    candidates_.back().for_all = true;
     rate(candidates_.back());
   }
 
@@ -412,21 +399,6 @@ class KeyTablesSearch {
       return xpu >= 0 && platform_.xpus[at(xpu)].id == forbid.second;
     });
   }
-  [[nodiscard]] bool clocks_share(const std::vector<int>& tables) const {
-    std::vector<int> user(platform_.xpus.size(), -1);
-    for (const int c : tables) {
-      const std::vector<KeyPlacement> placed = hint_for(candidates_[at(c)], {}).placements;
-      for (std::size_t i = 0; i < placed.size(); ++i) {
-        const int xpu = on_platform(placed[i].xpu);
-        if (xpu < 0) continue;
-        int& clock = user[at(xpu)];
-        if (clock >= 0 && clock != clock_of_[i]) return true;
-        clock = clock_of_[i];
-      }
-    }
-    return false;
-  }
-
   /// The policy of a candidate on the platform that is left under another envelope.
   [[nodiscard]] KeyPolicy hint_for(const KeyTable& table, const Scenario& envelope) const {
     const Platform had = platform_for(table.of, losses_[table.loss]),
@@ -574,12 +546,9 @@ class KeyTablesSearch {
     ChangeCost cost = cost_of(best.handovers, best, app_);
     const double slice =
         std::max(kLeastForTableS, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
-    How needs;
-    if (cost.unclaimed > 0 && clocks_share(candidate))
-      needs = leave_slack(choice, regret_before, slice, candidate, best, cost);
     for (int round = 0; options_.max_evaluations == 0 || round < kChangeRounds * n; ++round) {
       // What has not settled does so where there is time to spare.
-      How how = needs;
+      How how;
       if (cost.unclaimed > 0 && round / n % 2 == 0) how.slack_pct = kSlackPct;
       std::vector<Trial> trials = next_trials(round % n, candidate, how);
       if (!fit(trials.size(), slice)) break;
@@ -598,81 +567,6 @@ class KeyTablesSearch {
       cost = cheapest->cost;
     }
     return best;
-  }
-
-  /// Of clocks that share XPUs something is known where both tables leave slack (theorem 10), and, where an
-  /// XPU does not preempt, room for whom lateness lets in. So: all tables with slack, each from itself; with
-  /// room as well; and with the placement of one candidate, of those with room, each chosen one, or one for
-  /// everything: where little moves changes are shorter. How those are that it takes.
-  How leave_slack(TableChoice& choice, const std::vector<double>& regret_before, double slice,
-                  std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
-    constexpr int kItself = -1;
-    struct Try {
-      int base;
-      How how;
-    };
-    std::vector<Try> tries = {{kItself, {.slack_pct = kSlackPct}}};
-    if (std::any_of(platform_.xpus.begin(), platform_.xpus.end(),
-                    [](const Xpu& xpu) { return !xpu.preemptive; }))
-      for (const int pct : {kSlackPct, kLeastSlackPct})
-        tries.push_back({kItself, {.slack_pct = pct, .lets_in = true}});
-    tries.push_back({kItself, {.slack_pct = kLeastSlackPct}});
-    for (const int c : candidate)
-      tries.push_back({c, {.keep = Keep::kPlacement, .slack_pct = kSlackPct}});
-    for (std::size_t c = 0; c < candidates_.size(); ++c)
-      if (candidates_[c].for_all)
-        tries.push_back({static_cast<int>(c), {.keep = Keep::kPlacement, .slack_pct = kSlackPct}});
-    const Forbids apart = forbids_;
-    bool alike = false;
-    How needs;
-    const std::size_t n = candidate.size();
-    const int unclaimed = cost.unclaimed;
-    std::vector<int> itself = candidate;  // or, with room, what was found so far
-    for (std::size_t k = 0; k < tries.size(); ++k) {
-      const int base = tries[k].base;
-      const How how = tries[k].how;
-      const bool room = base == kItself && how.lets_in;
-      // Room takes longer to find.
-      const double each = (room ? kSlicesForRoom : kSlicesForSlack) * slice;
-      if (!fit(n, each)) continue;
-      if (base == kItself && k > 0 && cost.unclaimed < (room ? 1 : unclaimed)) continue;
-      if (base != kItself) forbids_.clear();
-      std::vector<std::optional<KeyTable>> found(n);
-      std::vector<std::uint64_t> seeds;
-      for (std::size_t t = 0; t < n; ++t) seeds.push_back(random_.next());
-      run_.on_threads(n, [&](std::size_t t) {
-        const int from = room ? itself[t] : base == kItself ? candidate[t] : base;
-        if (candidates_[at(candidate[t])].loss != candidates_[at(from)].loss) return;
-        found[t] = search_from(choice, candidate[t], from, how, seeds[t], each);
-      });
-      for (std::size_t t = 0; t < n; ++t) {
-        if (!found[t]) continue;
-        if (room) {
-          itself[t] = static_cast<int>(candidates_.size());
-          candidates_.push_back(*found[t]);
-        }
-        if (!allowed(*found[t], choice, candidate[t], regret_before, true)) found[t].reset();
-      }
-      if (!std::all_of(found.begin(), found.end(), [](const auto& f) { return f.has_value(); }))
-        continue;
-      if (room)
-        for (const int c : itself)
-          tries.insert(
-              tries.begin() + static_cast<std::ptrdiff_t>(k) + 1,
-              {c, {.keep = Keep::kPlacement, .slack_pct = how.slack_pct, .lets_in = true}});
-      Tables tables = best;
-      for (std::size_t t = 0; t < n; ++t) replace(tables, static_cast<int>(t), *found[t]);
-      if (!set_handovers(tables, -1, run_.until_after(kSlicesForHandovers * slice))) continue;
-      const ChangeCost of = cost_of(tables.handovers, tables, app_);
-      if (!(of < cost)) continue;
-      if (of.unclaimed < unclaimed) needs = {.slack_pct = kSlackPct, .lets_in = how.lets_in};
-      cost = of;
-      best = std::move(tables);
-      for (std::size_t t = 0; t < n; ++t) take(*found[t], t, choice, candidate);
-      alike = alike || base != kItself;
-    }
-    if (!alike) forbids_ = apart;
-    return needs;
   }
 
   /// In the place of table `t`'s.

@@ -5,8 +5,8 @@
 // component-wise below. So a table is a policy for an *envelope*, of each WCET the longest of the
 // scenarios that it serves; its worst cases are the same in all of them.
 //
-//  0. Of an app with several clocks: can each have XPUs of its own, at little cost? A change is shorter
-//     then, and needs no slack.
+//  0. Of an app with several clocks: can each have XPUs of its own, at little cost? Then changes
+//     have a worst case.
 //  1. Each scenario is solved alone: its lower bounds, and a candidate that serves what it covers.
 //  2. Choice: of the candidates the K of least largest regret (choose_tables.h). The regret is of the
 //     largest worst case relative to its deadline, over the same of the lower bounds; without

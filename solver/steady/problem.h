@@ -104,13 +104,10 @@ struct Problem {
   /// XPUs of one type on which each XNode may be alike, whatever pins and forbids say of single ones.
   std::vector<std::vector<int>> place_xpus;  ///< [place]
   std::vector<int> xpu_place;                ///< [xpu]
-  /// Where an XPU does not preempt, any other job may be in a job's way, whatever their windows are: so it
-  /// may be where jobs become ready late (theorem 10).
-  bool lets_in = false;
-  std::vector<Tick> wcet_flat;            ///< [xnode * num_xpus + xpu], kNoTick: not there
-  std::vector<std::vector<int>> may_run;  ///< [xnode] XPUs, ascending
-  std::vector<std::vector<int>> groups;   ///< XNodes that share one XPU
-  std::vector<int> group_of;              ///< [xnode], -1: none
+  std::vector<Tick> wcet_flat;               ///< [xnode * num_xpus + xpu], kNoTick: not there
+  std::vector<std::vector<int>> may_run;     ///< [xnode] XPUs, ascending
+  std::vector<std::vector<int>> groups;      ///< XNodes that share one XPU
+  std::vector<int> group_of;                 ///< [xnode], -1: none
 
   std::vector<Component> components;
   std::vector<Domain> domains;

@@ -128,7 +128,6 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
   };
   XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes));
-  p.lets_in = options.lets_in;
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
   Answer answer;
   if (std::optional<OverloadProof> proof = prove_overload(p)) {

@@ -38,8 +38,6 @@ struct Options {
   /// xpu -1 for an XNode that it does not know.
   const KeyPolicy* hint = nullptr;
   Keep keep = Keep::kNothing;
-  /// The policy leaves room on XPUs that do not preempt, for whom lateness lets in (Problem::lets_in).
-  bool lets_in = false;
 };
 
 enum class Outcome {

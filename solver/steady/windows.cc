@@ -14,18 +14,15 @@ struct Pair {
   Tick longest = 0;  ///< largest d - e of j
   Tick deepest = 0;  ///< largest d of j
 
-  bool apart;    ///< their phase is not known
-  bool lets_in;  ///< i may become ready after its `a`, however late
+  bool apart;  ///< their phase is not known
 
-  Pair(const Problem& problem, const Windows& windows, int xnode, int other, bool shared,
-       bool lets_others_in)
+  Pair(const Problem& problem, const Windows& windows, int xnode, int other, bool shared)
       : p(problem),
         w(windows),
         i(xnode),
         j(other),
         apart(shared && p.component_of[at(i)] != p.component_of[at(j)] &&
-              p.domains[at(p.domain_of(i))].part),
-        lets_in(lets_others_in) {
+              p.domains[at(p.domain_of(i))].part) {
     least_e = w.e[at(p.slot[at(j)])];
     for (int m = 0; m < p.jobs[at(j)]; ++m) {
       const std::size_t s = at(p.slot[at(j)] + m);
@@ -43,9 +40,7 @@ struct Pair {
     if (ci.domain != cj.domain || apart) return longest > d - a;
     // A clock that drifts moves releases against each other by up to this within the windows.
     const Tick blur = lost_in(a + d + deepest, p.domains[at(ci.domain)].ppm);
-    const Tick release = ci.phase + n * ci.period;
-    // What starts later than that has a larger key in any case.
-    const Tick ready = release + (lets_in ? d + deepest + cj.period : a) + blur;
+    const Tick release = ci.phase + n * ci.period, ready = release + a + blur;
     // The last activation of j that may have started decides, since d + release does not fall from
     // one activation to the next.
     std::int64_t m = floor_div(ready - 1 - cj.phase - least_e, cj.period);
@@ -215,7 +210,7 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, con
     for (const int i : here[at(m)])
       for (const int j : here[at(m)]) {
         if (i == j) continue;
-        const Pair pair(p, w, i, j, shared, p.lets_in && !preemptive);
+        const Pair pair(p, w, i, j, shared);
         for (int n = 0; n < p.jobs[at(i)]; ++n) {
           const std::size_t s = at(p.slot[at(i)] + n);
           if (preemptive) {

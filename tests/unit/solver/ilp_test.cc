@@ -177,46 +177,5 @@ TEST(Ilp, TooLargeForThePapersModelIsSaid) {
   EXPECT_EQ(answer.error().code, ErrorCode::kInvalid);
 }
 
-TEST(IlpCompact, BoundIsNeverAboveTheOptimum) {
-  Dice dice(4);
-  int proven = 0;
-  for (int round = 0; round < 150; ++round) {
-    Shape shape;
-    shape.max_nodes = 7;
-    const Platform platform = random_platform(dice, shape);
-    const AppSpec app = random_app(dice, shape, platform);
-    const Problem p = *Problem::create(app, platform);
-    const Time best = brute_force(p).makespan;
-    const auto compact = solve_ilp_compact(p, {.time_limit_s = 200});
-    ASSERT_TRUE(compact);
-    ASSERT_LE(compact->bound, best) << "round " << round;
-    ASSERT_GE(compact->makespan, best);
-    const auto relaxed = lp_bound(p);
-    ASSERT_TRUE(relaxed);
-    ASSERT_LE(relaxed->bound, compact->bound);
-    ASSERT_GE(relaxed->bound, quick_bound(p));
-    if (compact->proven) {
-      ++proven;
-      ASSERT_EQ(compact->makespan, best);
-    }
-  }
-  EXPECT_GT(proven, 75);
-}
-
-TEST(IlpCompact, LpBoundBeatsTheQuickBoundOnTheSyntheticWorkload) {
-  double quick = 0, relaxed = 0;
-  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
-    GenerateOptions generating;
-    generating.nodes = 30;
-    generating.seed = seed;
-    const Problem p = *Problem::create(*generate(generating), *Platform::builtin("small"));
-    const auto answer = lp_bound(p);
-    ASSERT_TRUE(answer);
-    quick += static_cast<double>(quick_bound(p));
-    relaxed += static_cast<double>(answer->bound);
-  }
-  EXPECT_GT(relaxed, quick * 1.02);
-}
-
 }  // namespace
 }  // namespace xauto::solver::test

@@ -12,8 +12,6 @@
 #include "solver/tables.h"
 #include "solver/verify_tables.h"
 
-#include "steady_random.h"
-
 namespace xauto::solver {
 namespace {
 
@@ -288,40 +286,6 @@ TEST(KeyTables, ClocksThatCanHaveXpusOfTheirOwnDo) {
   lying.handovers[0].worst_case_us[0].reset();
   lying.handovers[0].not_claimed = {"the camera's clock"};
   EXPECT_TRUE(verify_tables(app, of_two_cpus(), lying).truthful());
-}
-
-/// Clocks that share XPUs, none of which preempts. What lateness lets in has no room in tables that leave slack
-/// alone: of the 36 that are asked for none had a worst case.
-TEST(KeyTables, WhereXpusDoNotPreemptTheyLeaveRoomForWhomLatenessLetsIn) {
-  steady::SteadyShape shape;
-  shape.clocks = 2;
-  shape.ppm = 100;
-  shape.max_components = 3;
-  shape.max_nodes = 4;
-  shape.max_wcet = 5;
-  shape.least_period = 14;
-  shape.most_period = 30;
-  int claimed = 0, unclaimed = 0;
-  for (const std::uint64_t seed : {4, 53, 70, 94}) {
-    test::Dice dice(seed);
-    Platform platform = steady::random_steady_platform(dice);
-    for (Xpu& xpu : platform.xpus) {
-      xpu.preemptive = false;
-      xpu.preempt_us = 0;
-    }
-    AppSpec app = steady::random_steady_app(dice, shape);
-    steady::stretch(app, platform, 1000);
-    const Scenarios list{app.name,
-                         {{.name = "nominal"}, {.name = "hot", .wcet_scale_pct = {{"gpu", 150}}}}};
-    const TablesOptions options = ended_by_evaluations(2, 600);
-    const auto tables = solve_tables(app, platform, list, options);
-    ASSERT_TRUE(tables) << tables.error().to_string();
-    const TablesVerification v = verify_tables(app, platform, *tables);
-    EXPECT_TRUE(v.truthful()) << v.lies.front();
-    for (const Handover& handover : tables->handovers)
-      for (const auto& worst : handover.worst_case_us) (worst ? claimed : unclaimed) += 1;
-  }
-  EXPECT_GE(claimed, 26) << unclaimed << " have none";
 }
 
 TEST(KeyTables, WhatCannotBeIsRefused) {

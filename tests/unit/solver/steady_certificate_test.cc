@@ -57,32 +57,5 @@ TEST(SteadyCertificate, NothingBreaksWhatIsJustAccepted) {
   EXPECT_GE(touched, made / 3);  // the attack reaches keys: it would see a microsecond more
 }
 
-TEST(SteadyCertificate, WhatDemandAndBlockingLackIsTheMostOfThisLengthAndLongerOnes) {
-  std::vector<Pattern> patterns(1);
-  patterns[0].period = 100;
-  patterns[0].jobs = {{0, 10, 4}};
-  Lack lack;
-  ASSERT_TRUE(lack.find(patterns, {{30, 8}}));
-  EXPECT_EQ(lack.from(0), 8);  // the blocking alone
-  EXPECT_EQ(lack.from(7), 2);  // 4 + 8 at the length 10
-  EXPECT_EQ(lack.from(10), 2);
-  EXPECT_EQ(lack.from(11), 1);
-  EXPECT_EQ(lack.from(12), 0);
-  patterns[0].jobs = {{0, 10, 4}, {0, 10, 7}};
-  EXPECT_FALSE(lack.find(patterns, {}));  // 11 in 10
-}
-
-TEST(SteadyCertificate, WhoBlocksMayTakeThePlaceOfItsOwnPattern) {
-  std::vector<Pattern> patterns(2);
-  patterns[0].period = patterns[1].period = 100;
-  patterns[0].jobs = {{0, 10, 6}};
-  patterns[1].jobs = {{0, 10, 4}};
-  EXPECT_FALSE(demand_fits(patterns, {{11, 4}}));
-  EXPECT_TRUE(demand_fits(patterns, {{11, 4, 1, 0}}));
-  EXPECT_FALSE(demand_fits(patterns, {{11, 4, 0, 3}}));  // 4 + 3 + 4
-  EXPECT_TRUE(demand_fits(patterns, {{11, 3, 0, 3}}));
-  EXPECT_FALSE(demand_fits(patterns, {{11, 4, 1, 4}}));  // no place to take
-}
-
 }  // namespace
 }  // namespace xauto::solver::steady::test
