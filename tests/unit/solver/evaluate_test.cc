@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include "solver/certify.h"
 #include "solver/ordered.h"
 #include "solver/search.h"
 #include "solver/simulate.h"
