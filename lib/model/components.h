@@ -48,6 +48,13 @@ struct Components {
   std::vector<Domain> domains;        ///< by clock; clocks that nobody hears of have none
 };
 
+/// Their activations of one number have one nominal release: one clock, period and offset.
+[[nodiscard]] inline bool released_together(const Components& all, int one, int other) {
+  const Component &a = all.components[static_cast<std::size_t>(one)],
+                  &b = all.components[static_cast<std::size_t>(other)];
+  return a.clock == b.clock && a.period == b.period && a.offset_us == b.offset_us;
+}
+
 /// A time of kMaxTimeUs is at most 10^18 ticks: a sum of nine such fits.
 inline constexpr std::int64_t kMaxTicksPerUs = 1'000'000;
 /// A quarter of what fits, so that a release plus a window does.

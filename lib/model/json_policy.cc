@@ -139,6 +139,7 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
         p.start_us = read_series(x, "start_us", false);
         p.finish_us = read_series(x, "finish_us", false);
       });
+  if (root.has("order")) policy.order = read_pairs(root["order"], index_by_name(app.xnodes));
   read_claims(root, app, policy);
   return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
 }
@@ -170,6 +171,20 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
     there[i] = 1;
     if (placed.xpu >= 0) policy.placements[i] = std::move(placed);
   });
+  if (root.has("order"))
+    root["order"].each_element(kMaxEdges, [&](std::size_t, const Reader& pair) {
+      int ends[2] = {-1, -1};
+      std::size_t count = 0;
+      pair.each_element(2, [&](std::size_t, const Reader& end) {
+        if (const auto found = index.find(end.text()); found != index.end())
+          ends[count] = found->second;
+        ++count;
+      });
+      if (ends[0] < 0 || ends[1] < 0) return;  // of an XNode that is no more
+      const int xpu = policy.placements[static_cast<std::size_t>(ends[0])].xpu;
+      if (xpu >= 0 && xpu == policy.placements[static_cast<std::size_t>(ends[1])].xpu)
+        policy.order.emplace_back(ends[0], ends[1]);
+    });
   XAUTO_TRY(context.status());
   return policy;
 }
@@ -213,6 +228,9 @@ std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform&
   }
   ordered_json document = head_to_json(policy, 2);
   document["xnodes"] = std::move(xnodes);
+  if (!policy.order.empty())
+    document["order"] = pairs_to_json(
+        policy.order, [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; });
   document["chains"] = ordered_json::array();
   for (const ChainClaim& c : policy.chains) {
     document["chains"].push_back({{"name", c.name},

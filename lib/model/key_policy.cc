@@ -37,8 +37,11 @@ class Validation {
       const auto [u, v] = app_.edges[at(t.edge)];
       if (t.from_type == type(u) && t.to_type == type(v)) transfer[at(t.edge)] = t.transfer_us;
     }
-    for (std::size_t e = 0; e < app_.edges.size(); ++e) {
-      const auto [u, v] = app_.edges[e];
+    std::vector<std::pair<int, int>> waits = app_.edges;
+    waits.insert(waits.end(), policy_.order.begin(), policy_.order.end());
+    transfer.resize(waits.size(), 0);
+    for (std::size_t e = 0; e < waits.size(); ++e) {
+      const auto [u, v] = waits[e];
       const auto &before = policy_.placements[at(u)].key_us,
                  &after = policy_.placements[at(v)].key_us;
       // Entries i of u and j of v are of one activation, now and then, iff they are congruent
@@ -57,6 +60,20 @@ class Validation {
                          place(at(v), "key_us", j));
       }
     }
+    return {};
+  }
+
+  [[nodiscard]] Status order() const {
+    std::vector<int> xpu_of;
+    for (const KeyPlacement& p : policy_.placements) xpu_of.push_back(p.xpu);
+    XAUTO_TRY(validate_order(policy_.order, xpu_of, app_));
+    for (std::size_t k = 0; k < policy_.order.size(); ++k)
+      if (const auto [u, v] = policy_.order[k];
+          !released_together(components_, components_.of[at(u)], components_.of[at(v)]))
+        return invalid("'" + app_.xnodes[at(u)].name + "' before '" + app_.xnodes[at(v)].name +
+                           "': they are not released together, so no activations belong together",
+                       "/order/" + std::to_string(k),
+                       "order is between XNodes of one clock, one period and one offset");
     return {};
   }
 
@@ -212,6 +229,7 @@ Status validate(const KeyPolicy& policy, const AppSpec& app, const Platform& pla
   XAUTO_ASSIGN(const Components components, find_components(app));
   const Validation validation(policy, app, platform, components);
   XAUTO_TRY(validation.placements());
+  XAUTO_TRY(validation.order());
   XAUTO_TRY(validation.edges());
   XAUTO_TRY(validation.chains());
   if (policy.solve_ms < 0)
@@ -225,6 +243,7 @@ Policy assignment_of(const KeyPolicy& keys) {
   policy.app_hash = keys.app_hash;
   policy.platform = keys.platform;
   policy.method = keys.method;
+  policy.order = keys.order;
   policy.solve_ms = keys.solve_ms;
   std::vector<std::size_t> by_key(keys.placements.size());
   std::iota(by_key.begin(), by_key.end(), std::size_t{0});

@@ -52,6 +52,9 @@ struct KeyPolicy {
   std::vector<KeyPlacement> placements;  ///< one per AppSpec::xnodes entry, same order
   std::vector<ChainClaim> chains;        ///< one per AppSpec::chains entry, same order
   std::int64_t solve_ms = 0;
+  /// Pairs (u, v) of XNodes on one XPU that are released together (released_together): v of an activation is not
+  /// started before u of it has ended. A pair does what an edge does, without a message.
+  std::vector<std::pair<int, int>> order = {};
   bool operator==(const KeyPolicy&) const = default;
 };
 
@@ -59,7 +62,8 @@ struct KeyPolicy {
 /// on an XPU of a type that it has an implementation for. Its arrays have one size, which divides
 /// its activations per hyperperiod. Each job fits between being ready (hold; a root: offset and
 /// jitter; otherwise: its predecessors' keys and the transfers) and its key. Key plus nominal
-/// release does not fall from one activation to the next. Every chain of the app has a claim.
+/// release does not fall from one activation to the next. Order pairs leave a way through, and to keys as edges
+/// do. Every chain of the app has a claim.
 [[nodiscard]] Status validate(const KeyPolicy& policy, const AppSpec& app,
                               const Platform& platform);
 

@@ -48,21 +48,24 @@ Status check_placements(const Policy& policy, const AppSpec& app, const Platform
   return {};
 }
 
-Status check_order(const Policy& policy, const AppSpec& app) {
+}  // namespace
+
+Status validate_order(const std::vector<std::pair<int, int>>& order, const std::vector<int>& xpu_of,
+                      const AppSpec& app) {
   // The run-time order and the app's edges together must leave a way through.
   AppSpec both;
   both.xnodes.resize(app.xnodes.size());
   both.edges = app.edges;
   std::set<std::pair<int, int>> seen;
-  for (std::size_t i = 0; i < policy.order.size(); ++i) {
-    const auto [u, v] = policy.order[i];
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    const auto [u, v] = order[i];
     const std::string where = "/order/" + std::to_string(i);
     if (u < 0 || v < 0 || at(u) >= app.xnodes.size() || at(v) >= app.xnodes.size())
       return fail(ErrorCode::kInvalid, "names an unknown XNode", where);
     const std::string pair =
         "'" + app.xnodes[at(u)].name + "' before '" + app.xnodes[at(v)].name + "'";
     if (u == v) return fail(ErrorCode::kInvalid, pair + " cannot be", where);
-    if (policy.placements[at(u)].xpu != policy.placements[at(v)].xpu)
+    if (xpu_of[at(u)] != xpu_of[at(v)])
       return fail(ErrorCode::kInvalid, pair + ": they are on different XPUs", where,
                   "run-time order is between XNodes of one XPU");
     if (!seen.insert({u, v}).second)
@@ -74,8 +77,6 @@ Status check_order(const Policy& policy, const AppSpec& app) {
                 "the order and the app's edges form a cycle: the app would hang", "/order");
   return {};
 }
-
-}  // namespace
 
 Status validate(const Policy& policy, const AppSpec& app, const Platform& platform) {
   const std::string hint =
@@ -89,7 +90,9 @@ Status validate(const Policy& policy, const AppSpec& app, const Platform& platfo
                     "': the policy was made for another version of the app",
                 "/app_hash", hint);
   XAUTO_TRY(check_placements(policy, app, platform));
-  XAUTO_TRY(check_order(policy, app));
+  std::vector<int> xpu_of;
+  for (const Placement& p : policy.placements) xpu_of.push_back(p.xpu);
+  XAUTO_TRY(validate_order(policy.order, xpu_of, app));
   const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
   if (!is_time(policy.latency_us))
     return fail(ErrorCode::kInvalid, std::to_string(policy.latency_us) + " is no latency",

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <optional>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -66,9 +67,33 @@ FifoRange choose_priorities(const Session& session, FifoRange& fifo, std::string
 bool keeps_order(const Session& session, const Graph& graph, Placing& placing) {
   if (graph.single_rate) return true;
   if (session.policy.order.empty()) return false;
+  // Of keys a pair is of what is released together. Where activations are numbered by releases that the grid knows, those
+  // of one number belong together.
+  const auto module_of = [&](int xnode) -> const Graph::Module& {
+    const std::string& name = session.app.xnodes[static_cast<std::size_t>(xnode)].name;
+    const auto node = std::find_if(graph.nodes.begin(), graph.nodes.end(),
+                                   [&](const Graph::Node& n) { return n.name == name; });
+    return graph.modules[static_cast<std::size_t>(node->module)];  // the graph matches the app
+  };
+  std::set<int> pushed;  // components
+  for (const Graph::Module& module : graph.modules)
+    for (const int t : module.inputs)
+      if (const int s = graph.topics[static_cast<std::size_t>(t)].source;
+          s >= 0 && graph.sources[static_cast<std::size_t>(s)].pushed)
+        pushed.insert(module.component);
+  const auto together = [&](const std::pair<int, int>& pair) {
+    const Graph::Module &u = module_of(pair.first), &v = module_of(pair.second);
+    return u.numbered && v.numbered &&
+           (u.component == v.component ||
+            (!pushed.contains(u.component) && !pushed.contains(v.component)));
+  };
+  if (session.keys &&
+      std::all_of(session.policy.order.begin(), session.policy.order.end(), together))
+    return true;
   // A pair would have to say which release of u comes before which of v.
   const std::string unordered =
-      "the sources have several periods: the policy's order constraints are not enforced";
+      "sources that have several periods, or are pushed, meet: the policy's order constraints are "
+      "not enforced";
   add_note(placing.note, unordered);
   placing.unkept.push_back("its order constraints are not enforced");
   return false;

@@ -179,22 +179,21 @@ class Walk {
       const Component& home = w_.components[c];
       std::vector<int> enters;
       for (const int x : home.xnodes)
-        if (w_.before[at(x)].empty() &&
-            std::ranges::count(w_.app.xnodes[at(x)].sources, chain_.from) > 0)
-          enters.push_back(x);
+        if (std::ranges::count(w_.app.xnodes[at(x)].sources, chain_.from) > 0) enters.push_back(x);
       if (enters.empty()) continue;
       const Ticks offset = source.offset_us * w_.scale;
-      // Everything that an XNode waits for is on its shortest path, other sources included.
-      std::vector<Ticks> ends(w_.wcet.size(), kUnreached);
+      // Everything that an XNode waits for is on its shortest path, other sources included. Of any policy: without
+      // this one's order.
+      std::vector<Ticks> ends(w_.wcet.size(), kUnreached), after(w_.wcet.size(), 0);
       for (const int x : w_.order) {
         if (w_.component_of[at(x)] != static_cast<int>(c)) continue;
-        Ticks ready = 0;
+        Ticks ready = after[at(x)];
         for (const int s : w_.app.xnodes[at(x)].sources)
           ready =
               std::max(ready, (w_.app.sources[at(s)].offset_us + w_.app.sources[at(s)].jitter_us) *
                                   w_.scale);
-        for (const auto& [u, transfer] : w_.before[at(x)]) ready = std::max(ready, ends[at(u)]);
         ends[at(x)] = ready + shortest_[at(x)];
+        for (const int v : w_.hearers[at(x)]) after[at(v)] = std::max(after[at(v)], ends[at(x)]);
       }
       for (Ticks& end : ends) end -= offset;
       path_ = {source.name};
@@ -224,7 +223,7 @@ class Walk {
     path_.push_back(w_.name(enters.front()));
     for (const int x : w_.order) {
       if (!reached[at(x)]) continue;
-      for (const int v : w_.after[at(x)]) reached[at(v)] = 1;
+      for (const int v : w_.hearers[at(x)]) reached[at(v)] = 1;
       if (x == chain_.to) arrive(c, late, ends[at(x)]);
       for (const int v : reads_[at(x)])
         if (!visited_[at(w_.component_of[at(v)])]) {
@@ -280,8 +279,8 @@ class Walk {
                   "chain '" + chain_.name + "'", "take out samples that it does not need");
     std::vector<Ticks> ends(w_.wcet.size(), kUnreached);
     ends[at(v)] = bound + shortest_[at(v)];
-    for (const int x : w_.order)
-      for (const auto& [p, transfer] : w_.before[at(x)])
+    for (const int p : w_.order)
+      for (const int x : w_.hearers[at(p)])
         if (ends[at(p)] > kUnreached && x != v)
           ends[at(x)] = std::max(ends[at(x)], ends[at(p)] + shortest_[at(x)]);
     return visit(w_.component_of[at(v)], {v}, next, ends);

@@ -53,7 +53,7 @@ class Ways {
     std::set<int> reached(enters.begin(), enters.end());
     for (const int x : w_.order) {
       if (!reached.contains(x)) continue;
-      reached.insert(w_.after[at(x)].begin(), w_.after[at(x)].end());
+      reached.insert(w_.hearers[at(x)].begin(), w_.hearers[at(x)].end());
       if (x == chain_.to) {
         all_.push_back(way_);
         clocks_.insert(w_.components[at(c)].clock);

@@ -254,7 +254,7 @@ class Load {
       if (least(delta, c.ppm) + other.e >= i.window.a) continue;
       // It is one distance that drifts: by no length of it has a window that is not longer begun before and ends after.
       if (other.d - other.e <= i.window.d - i.window.a) continue;
-      if (w_.component_of[at(j)] == w_.component_of[at(i.xnode)]) {
+      if (w_.part_of[at(j)] == w_.part_of[at(i.xnode)]) {
         if (lags.empty()) lags = w_.lags_after(i.xnode);
         const std::int64_t first = i.activation + lags[at(j)];  // waits for i
         if (n >= first) {

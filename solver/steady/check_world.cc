@@ -177,20 +177,55 @@ Status set_graph(World& w) {
     if (type_of(u) == t.from_type && type_of(v) == t.to_type)
       transfer[at(t.edge)] = std::max(transfer[at(t.edge)], t.transfer_us * w.scale);
   }
-  std::vector<int> waits(n, 0);
   for (std::size_t k = 0; k < w.app.edges.size(); ++k) {
     const auto& [u, v] = w.app.edges[k];
     w.before[at(v)].emplace_back(u, transfer[k]);
     w.after[at(u)].push_back(v);
-    ++waits[at(v)];
   }
+  w.hearers = w.after;
+  return {};
+}
+
+/// Into w.order, after what waits; false: in a circle.
+bool sort_by_waiting(World& w) {
+  const std::size_t n = w.app.xnodes.size();
+  std::vector<std::size_t> waits(n, 0);
+  w.order.clear();
+  for (std::size_t i = 0; i < n; ++i) waits[i] = w.before[i].size();
   for (std::size_t i = 0; i < n; ++i)
     if (waits[i] == 0) w.order.push_back(static_cast<int>(i));
   for (std::size_t k = 0; k < w.order.size(); ++k)
     for (const int v : w.after[at(w.order[k])])
       if (--waits[at(v)] == 0) w.order.push_back(v);
-  if (w.order.size() != n) return invalid("the edges have a cycle", "app '" + w.app.name + "'");
+  return w.order.size() == n;
+}
 
+/// What of activation n of v's component waits for u of activation n, as the policy's order says. Behind all that is by
+/// edges: nobody hears by it.
+Status add_order(World& w) {
+  w.part_of = w.component_of;
+  for (const auto& [u, v] : w.policy.order) {
+    if (!in(u, w.app.xnodes.size()) || !in(v, w.app.xnodes.size()) || u == v)
+      return invalid(fmt::format("[{}, {}] is no pair of XNodes", u, v), "order");
+    const std::string pair = fmt::format("'{}' before '{}'", w.name(u), w.name(v));
+    if (w.policy.placements[at(u)].xpu != w.policy.placements[at(v)].xpu)
+      return invalid(pair + ": nobody keeps an order between two XPUs", "order");
+    const Component &a = w.home(u), &b = w.home(v);
+    if (a.clock != b.clock || a.period != b.period || a.phi != b.phi)
+      return invalid(pair + ": their activations do not belong together", "order");
+    if (const int joined = w.part_of[at(v)], into = w.part_of[at(u)]; joined != into)
+      std::ranges::replace(w.part_of, joined, into);
+    w.before[at(v)].emplace_back(u, 0);
+    w.after[at(u)].push_back(v);
+  }
+  if (!sort_by_waiting(w))
+    return invalid("with the edges it is a circle: nothing in it starts", "order");
+  return {};
+}
+
+Status set_modules(World& w) {
+  const std::size_t n = w.app.xnodes.size();
+  if (!sort_by_waiting(w)) return invalid("the edges have a cycle", "app '" + w.app.name + "'");
   std::map<std::string_view, int> numbers;
   w.module_of.resize(n);
   for (std::size_t i = 0; i < n; ++i) {
@@ -313,9 +348,17 @@ Status set_classes(World& w) {
     }
     c.classes = lcm(c.classes, size);
   }
+  // Of one part the windows come round together.
+  std::vector<std::int64_t> of_part(w.components.size(), 1);
+  for (std::size_t i = 0; i < w.part_of.size(); ++i) {
+    std::int64_t& classes = of_part[at(w.part_of[i])];
+    classes = lcm(classes, w.home(static_cast<int>(i)).classes);
+  }
+  for (std::size_t i = 0; i < w.part_of.size(); ++i)
+    w.components[at(w.component_of[i])].classes = of_part[at(w.part_of[i])];
   for (const Component& c : w.components) {
     windows += c.classes * static_cast<std::int64_t>(c.xnodes.size());
-    if (c.classes > kMaxWindows || windows > kMaxWindows)
+    if (c.classes < 1 || c.classes > kMaxWindows || windows > kMaxWindows)
       return invalid(fmt::format("more than {} windows", kMaxWindows), "policy",
                      "use fewer keys per XNode");
   }
@@ -492,7 +535,9 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const KeyP
   World w{app, platform, policy};
   XAUTO_TRY(world::set_scale(w, fine));
   XAUTO_TRY(world::set_graph(w));
+  XAUTO_TRY(world::set_modules(w));
   XAUTO_TRY(world::set_components(w));
+  XAUTO_TRY(world::add_order(w));
   XAUTO_TRY(world::set_classes(w));
   return w;
 }

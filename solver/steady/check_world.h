@@ -53,16 +53,18 @@ struct World {
   const KeyPolicy& policy;
   std::int64_t scale = 1;
   std::vector<Component> components;
-  std::vector<int> component_of;                           ///< [xnode]
-  std::vector<std::vector<std::pair<int, Ticks>>> before;  ///< [xnode] predecessors, transfers
-  std::vector<std::vector<int>> after;                     ///< [xnode] successors
-  std::vector<std::vector<int>> module_xnodes;             ///< [module]
-  std::vector<std::int64_t> in_flight;                     ///< [module] at most
-  std::vector<int> module_of;                              ///< [xnode]
-  std::vector<char> entry;                   ///< [xnode] has no predecessor inside its module
-  std::vector<int> order;                    ///< topological
-  std::vector<Ticks> wcet;                   ///< [xnode] on its XPU, no preemption charged
-  std::vector<std::vector<Window>> windows;  ///< [xnode][activation mod classes]
+  std::vector<int> component_of;  ///< [xnode]
+  std::vector<int> part_of;       ///< [xnode] components that order joins are one part
+  std::vector<std::vector<std::pair<int, Ticks>>> before;  ///< [xnode] what it waits for, transfers
+  std::vector<std::vector<int>> after;                     ///< [xnode] what waits for it
+  std::vector<std::vector<int>> hearers;        ///< [xnode] of `after`, those that an edge leads to
+  std::vector<std::vector<int>> module_xnodes;  ///< [module]
+  std::vector<std::int64_t> in_flight;          ///< [module] at most
+  std::vector<int> module_of;                   ///< [xnode]
+  std::vector<char> entry;                      ///< [xnode] has no predecessor inside its module
+  std::vector<int> order;                       ///< topological, by all that waits
+  std::vector<Ticks> wcet;                      ///< [xnode] on its XPU, no preemption charged
+  std::vector<std::vector<Window>> windows;     ///< [xnode][activation mod classes]
   /// The same in an urgent release; empty where an XNode does not hear of an urgent source.
   std::vector<std::vector<Window>> urgent;
   std::vector<char> hears_urgent;  ///< [xnode] of its component's urgent source, by edges

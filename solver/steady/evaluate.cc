@@ -60,7 +60,7 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   for (const Chain& chain : p_.chains) {
     std::vector<char> in(at(p_.num_xnodes), 0);
     const auto add = [&](int to) {
-      for (const int i : p_.components[at(p_.component_of[at(to)])].xnodes)
+      for (int i = 0; i < p_.num_xnodes; ++i)
         if (i == to || p_.before(i, to)) in[at(i)] = 1;
     };
     for (const Path& path : chain.paths)

@@ -231,7 +231,7 @@ class Play {
     for (const int x : enters) reached[at(x)] = 1;
     for (const int x : w_.order)
       if (reached[at(x)])
-        for (const int v : w_.after[at(x)]) reached[at(v)] = 1;
+        for (const int v : w_.hearers[at(x)]) reached[at(v)] = 1;
     if (reached[at(w_.app.chains[path.chain].to)]) paths_.push_back(path);
     if (paths_.size() > kMaxPaths)
       return fail(ErrorCode::kInvalid, fmt::format("more than {} paths", kMaxPaths),
@@ -339,7 +339,10 @@ class Play {
     jobs_[at(e.index)].pop_front();
     ++done_[at(e.index)];
     --unfinished_;
-    for (const int v : w_.after[at(e.index)])
+    std::vector<int> waiting = w_.after[at(e.index)];
+    std::ranges::sort(waiting);
+    waiting.erase(std::unique(waiting.begin(), waiting.end()), waiting.end());
+    for (const int v : waiting)
       for (const auto& [u, transfer] : w_.before[at(v)])
         if (u == e.index)
           events_.push({now_ + transfer * kMillion, Kind::kArrives, v, e.activation, 0});

@@ -24,6 +24,7 @@ Status too_long(const std::string& what) {
 struct Builder {
   const AppSpec& app;
   Problem& p;
+  std::vector<int> topological = {};  ///< by edges and order
 
   Status ticks(std::int64_t us, const std::string& what, Tick& out) const {
     if (us < 0) return fail(ErrorCode::kInvalid, what + " is below 0", "app");
@@ -71,12 +72,22 @@ struct Builder {
     return {};
   }
 
-  Status set_components() const {
+  Status set_components(const std::vector<std::pair<int, int>>& order) {
     const int n = p.num_xnodes;
     p.component_of.assign(at(n), -1);
-    const std::vector<int> topo = app.topological_order();
-    if (static_cast<int>(topo.size()) != n)
+    if (static_cast<int>(app.topological_order().size()) != n)
       return fail(ErrorCode::kInvalid, "the edges have a cycle", "edges");
+    AppSpec both;
+    both.xnodes.resize(at(n));
+    both.edges = app.edges;
+    for (const auto& [u, v] : order) {
+      if (u < 0 || v < 0 || u >= n || v >= n)
+        return fail(ErrorCode::kInvalid, "an XNode that is not there", "order");
+      both.edges.emplace_back(u, v);
+    }
+    const std::vector<int> topo = both.topological_order();
+    if (static_cast<int>(topo.size()) != n)
+      return fail(ErrorCode::kInvalid, "the order and the edges have a cycle", "order");
     std::vector<int> parent(at(n));
     std::iota(parent.begin(), parent.end(), 0);
     const auto find = [&](int i) {
@@ -101,6 +112,7 @@ struct Builder {
       p.component_of[at(i)] = it->second;
       p.components[at(it->second)].xnodes.push_back(i);
     }
+    topological = topo;
     return {};
   }
 
@@ -225,13 +237,14 @@ struct Builder {
         Component& component = p.components[at(c)];
         component.domain = static_cast<int>(d);
         component.jobs = static_cast<int>(p.domains[d].hyper / component.period);
-        for (const int i : component.xnodes) {
-          p.domains[d].xnodes.push_back(i);
-          p.slot[at(i)] = p.num_slots;
-          p.jobs[at(i)] = component.jobs;
-          p.num_slots += component.jobs;
-          p.slot_xnode.insert(p.slot_xnode.end(), at(component.jobs), i);
-        }
+      }
+    for (const int i : topological) p.domains[at(p.domain_of(i))].xnodes.push_back(i);
+    for (const Domain& domain : p.domains)
+      for (const int i : domain.xnodes) {
+        p.slot[at(i)] = p.num_slots;
+        p.jobs[at(i)] = p.components[at(p.component_of[at(i)])].jobs;
+        p.num_slots += p.jobs[at(i)];
+        p.slot_xnode.insert(p.slot_xnode.end(), at(p.jobs[at(i)]), i);
       }
     return {};
   }
@@ -295,14 +308,46 @@ struct Builder {
     return {};
   }
 
-  void set_reach() const {
+  /// Behind all that is by edges alone.
+  Status add_order(const std::vector<std::pair<int, int>>& order) const {
+    if (order.empty()) return {};
+    for (const auto& [u, v] : order) {
+      const Component &a = p.components[at(p.component_of[at(u)])],
+                      &b = p.components[at(p.component_of[at(v)])];
+      if (a.domain != b.domain || a.period != b.period || a.phase != b.phase)
+        return fail(ErrorCode::kInvalid,
+                    "XNodes '" + app.xnodes[at(u)].name + "' and '" + app.xnodes[at(v)].name +
+                        "' are not released together",
+                    "order");
+      p.succ[at(u)].push_back({v, -1});
+      p.pred[at(v)].push_back({u, -1});
+    }
+    set_reach(order);
+    return {};
+  }
+
+  /// Components that `order` joins are one part.
+  void set_reach(const std::vector<std::pair<int, int>>& order) const {
+    std::vector<int> part(p.components.size());
+    std::iota(part.begin(), part.end(), 0);
+    const auto find = [&](int c) {
+      while (part[at(c)] != c) c = part[at(c)] = part[at(part[at(c)])];
+      return c;
+    };
+    for (const auto& [u, v] : order)
+      part[at(find(p.component_of[at(u)]))] = find(p.component_of[at(v)]);
+    p.part_of.resize(at(p.num_xnodes));
     p.place.resize(at(p.num_xnodes));
     p.reach.resize(at(p.num_xnodes));
-    for (const Component& c : p.components) {
-      const std::size_t words = (c.xnodes.size() + 63) / 64;
-      for (std::size_t k = 0; k < c.xnodes.size(); ++k)
-        p.place[at(c.xnodes[k])] = static_cast<int>(k);
-      for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i) {
+    std::vector<std::vector<int>> parts(p.components.size());
+    for (const int i : topological) {
+      p.part_of[at(i)] = find(p.component_of[at(i)]);
+      parts[at(p.part_of[at(i)])].push_back(i);
+    }
+    for (const std::vector<int>& xnodes : parts) {
+      const std::size_t words = (xnodes.size() + 63) / 64;
+      for (std::size_t k = 0; k < xnodes.size(); ++k) p.place[at(xnodes[k])] = static_cast<int>(k);
+      for (auto i = xnodes.rbegin(); i != xnodes.rend(); ++i) {
         std::vector<std::uint64_t>& behind = p.reach[at(*i)];
         behind.assign(words, 0);
         for (const EdgeEnd& s : p.succ[at(*i)]) {
@@ -453,7 +498,8 @@ struct Builder {
 }  // namespace
 
 Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
-                                const Objectives& wishes) {
+                                const Objectives& wishes,
+                                const std::vector<std::pair<int, int>>& order) {
   if (app.version != 2)
     return fail(ErrorCode::kInvalid, "app is not of version 2", "version",
                 "version 1 is planned by solver::solve");
@@ -464,19 +510,20 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
   placing.groups = wishes.groups;
   XAUTO_TRY(resolve(placing, app, platform, base));
   Problem p;
-  const Builder build{app, p};
+  Builder build{app, p};
   XAUTO_TRY(build.set_scale());
   XAUTO_TRY(build.set_platform(platform, base));
   XAUTO_TRY(build.set_edges());
-  XAUTO_TRY(build.set_components());
+  XAUTO_TRY(build.set_components(order));
   std::vector<int> clock_of;
   XAUTO_TRY(build.set_clocks(clock_of));
   XAUTO_TRY(build.set_domains(clock_of));
   XAUTO_TRY(build.set_wcets(base));
-  build.set_reach();
+  build.set_reach({});
   XAUTO_TRY(build.set_urgent());
   XAUTO_TRY(build.set_modules());
   XAUTO_TRY(build.set_chains());
+  XAUTO_TRY(build.add_order(order));
   return p;
 }
 

@@ -63,7 +63,7 @@ struct Domain {
   std::int64_t jobs = 0;  ///< all XNodes together, per hyperperiod
   bool part = false;      ///< of a clock: `check` knows no phases where it shares an XPU
   std::vector<int> components;
-  std::vector<int> xnodes;
+  std::vector<int> xnodes;  ///< in topological order, by edges and order
 };
 
 struct Module {
@@ -112,19 +112,22 @@ struct Problem {
   std::vector<Component> components;
   std::vector<Domain> domains;
   std::vector<Module> modules;
-  std::vector<int> component_of, module_of;      ///< [xnode]; module_of -1: no limit applies
-  std::vector<std::vector<EdgeEnd>> pred, succ;  ///< [xnode] edges
-  std::vector<char> entry, root;                 ///< [xnode]
-  std::vector<Tick> root_ready;                  ///< [root] largest of J + offset - phase
-  std::vector<std::vector<Tick>> transfers;      ///< [from type * num_types + to type]
-  std::vector<std::pair<int, int>> samples;      ///< (u, v)
-  std::vector<char> reads;                       ///< [xnode] the second of some sample
-  std::vector<char> urgent;                      ///< [xnode] hears of its component's urgent source
+  std::vector<int> component_of, module_of;  ///< [xnode]; module_of -1: no limit applies
+  /// [xnode] edges, and order pairs as edges without a transfer. Who hears of a source, and a chain's ways,
+  /// are by edges alone.
+  std::vector<std::vector<EdgeEnd>> pred, succ;
+  std::vector<char> entry, root;             ///< [xnode]
+  std::vector<Tick> root_ready;              ///< [root] largest of J + offset - phase
+  std::vector<std::vector<Tick>> transfers;  ///< [from type * num_types + to type]
+  std::vector<std::pair<int, int>> samples;  ///< (u, v)
+  std::vector<char> reads;                   ///< [xnode] the second of some sample
+  std::vector<char> urgent;                  ///< [xnode] hears of its component's urgent source
   bool any_urgent = false;
   std::vector<Chain> chains;
-  std::vector<int> place;  ///< [xnode] among the XNodes of its component
+  std::vector<int> part_of;  ///< [xnode] components that order joins are one part
+  std::vector<int> place;    ///< [xnode] among the XNodes of its part
   std::vector<std::vector<std::uint64_t>>
-      reach;  ///< [xnode] bitset of places: who is behind it by edges
+      reach;  ///< [xnode] bitset of places: who is behind it by `succ`
 
   std::vector<int> slot;        ///< [xnode] the first of its jobs
   std::vector<int> jobs;        ///< [xnode] how many
@@ -151,8 +154,8 @@ struct Problem {
     const std::int64_t n = activation % jobs[at(xnode)];
     return static_cast<std::size_t>(slot[at(xnode)] + (n < 0 ? n + jobs[at(xnode)] : n));
   }
-  [[nodiscard]] bool before(int a, int b) const {  ///< b needs a, by edges
-    return component_of[at(a)] == component_of[at(b)] &&
+  [[nodiscard]] bool before(int a, int b) const {  ///< b waits for a, by edges and order
+    return part_of[at(a)] == part_of[at(b)] &&
            ((reach[at(a)][at(place[at(b)] / 64)] >> (place[at(b)] % 64)) & 1U) != 0;
   }
   /// What the message of `link` costs from `from_xpu` to `to_xpu`.
@@ -166,9 +169,11 @@ struct Problem {
   }
 
   /// kInvalid: what `validate` refuses, what is no version 2, times too long for 64 bits, too many
-  /// ways for a chain; kInfeasible: pins and forbids leave nothing for an XNode.
+  /// ways for a chain, an order that is a cycle or of XNodes that are not released together; kInfeasible: pins and forbids leave
+  /// nothing for an XNode. `order`: KeyPolicy::order, which the policies of this problem have.
   [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform,
-                                              const Objectives& wishes = {});
+                                              const Objectives& wishes = {},
+                                              const std::vector<std::pair<int, int>>& order = {});
 };
 
 /// ceil(t * 10^6 / (10^6 - ppm)) for t >= 0: how much of a clock's time `t` may take where the

@@ -44,15 +44,16 @@ struct Pair {
     // The last activation of j that may have started decides, since d + release does not fall from
     // one activation to the next.
     std::int64_t m = floor_div(ready - 1 - cj.phase - least_e, cj.period);
+    // Who waits for whom is of one period and phase: activations of one number belong together.
+    if (p.before(i, j)) m = std::min<std::int64_t>(m, n - 1);
     if (&ci == &cj) {
-      if (p.before(i, j)) m = std::min<std::int64_t>(m, n - 1);
       const int module = p.module_of[at(i)];
       if (module >= 0 && module == p.module_of[at(j)])
         m = std::min(m, n + std::min(p.modules[at(module)].in_flight, kMillion) - 1);
     }
     // At the latest one whose activations have all started: e is not below least_e.
     while (cj.phase + m * cj.period + w.e[p.slot_of(j, m)] >= ready) --m;
-    if (&ci == &cj && m <= n && p.before(j, i)) return false;
+    if (m <= n && p.before(j, i)) return false;
     return cj.phase + m * cj.period + w.d[p.slot_of(j, m)] + blur > release + d;
   }
 };
@@ -126,22 +127,20 @@ Windows keys_and_holds(const Problem& p, const KeyPolicy& policy) {
 
 void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Windows& w) {
   w.e.resize(w.a.size());
-  for (const int c : p.domains[at(domain)].components) {
-    const Component& component = p.components[at(c)];
-    for (const int i : component.xnodes) {
-      const std::size_t base = at(p.slot[at(i)]);
-      const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+  for (const int i : p.domains[at(domain)].xnodes) {
+    const Component& component = p.components[at(p.component_of[at(i)])];
+    const std::size_t base = at(p.slot[at(i)]);
+    const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+    for (std::size_t n = 0; n < at(component.jobs); ++n) {
+      w.a[base + n] = std::max(least, w.hold[base + n]);
+      w.e[base + n] = w.hold[base + n];
+    }
+    for (const EdgeEnd& link : p.pred[at(i)]) {
+      const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
+      const std::size_t from = at(p.slot[at(link.xnode)]);
       for (std::size_t n = 0; n < at(component.jobs); ++n) {
-        w.a[base + n] = std::max(least, w.hold[base + n]);
-        w.e[base + n] = w.hold[base + n];
-      }
-      for (const EdgeEnd& link : p.pred[at(i)]) {
-        const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
-        const std::size_t from = at(p.slot[at(link.xnode)]);
-        for (std::size_t n = 0; n < at(component.jobs); ++n) {
-          w.a[base + n] = std::max(w.a[base + n], w.d[from + n] + passes);
-          w.e[base + n] = std::max(w.e[base + n], w.e[from + n]);
-        }
+        w.a[base + n] = std::max(w.a[base + n], w.d[from + n] + passes);
+        w.e[base + n] = std::max(w.e[base + n], w.e[from + n]);
       }
     }
   }
@@ -151,8 +150,9 @@ void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Win
 void derive_urgent(const Problem& p, const std::vector<int>& xpu, const Windows& w, Windows& u) {
   u = w;
   if (!p.any_urgent) return;
-  for (const Component& c : p.components)
-    for (const int i : c.xnodes) {
+  for (const Domain& domain : p.domains)
+    for (const int i : domain.xnodes) {
+      const Component& c = p.components[at(p.component_of[at(i)])];
       if (p.urgent[at(i)] == 0) continue;
       const std::size_t base = at(p.slot[at(i)]);
       const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;

@@ -96,6 +96,11 @@ class World {
       ++edges_in_[at(v)];
       if (app.xnodes[at(u)].module == app.xnodes[at(v)].module) inner_[at(v)] = 1;
     }
+    // Order: the message without a message.
+    for (const auto& [u, v] : policy.order) {
+      edges_out_[at(u)].push_back({v, 0});
+      ++edges_in_[at(v)];
+    }
     for (std::size_t i = 0; i < n; ++i) {
       std::vector<int> mates;
       for (std::size_t k = 0; k < n; ++k)

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "base/index.h"
+#include "model/components.h"
 #include "model/key_policy.h"
 #include "solver/random.h"
 #include "solver/steady/check.h"
@@ -38,6 +39,7 @@ struct Wanted {
   std::int64_t jitter_us = 0;
   bool thirds = false;  ///< periods that are no whole microseconds
   bool holds = false;
+  bool order = false;  ///< one period and no offsets, so that much is released together; pairs
 };
 
 inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
@@ -67,6 +69,8 @@ inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
     s.clock = k % wanted.clocks;
     s.period = wanted.thirds ? thirds[pick(0, 4)] : whole[pick(0, 4)];
     s.offset_us = pick(0, 2) == 0 ? pick(0, 300) : 0;
+    if (wanted.order) s.offset_us = 0;
+    if (wanted.order && k >= wanted.clocks) s.period = c.app.sources[at(k % wanted.clocks)].period;
     s.jitter_us = wanted.jitter_us > 0 ? pick(0, wanted.jitter_us) : 0;
     c.app.sources.push_back(s);
     std::vector<int> heard = {k};
@@ -191,6 +195,28 @@ inline bool widen(Case& c, double factor, std::int64_t extra) {
   return claim_what_follows(c);
 }
 
+/// Pairs of those that are released together on one XPU, one after the other as long as it holds.
+inline void add_order(Case& c, std::uint64_t seed) {
+  Random random(seed + 11);
+  const auto parts = find_components(c.app);
+  if (!parts) return;
+  const auto n = static_cast<int>(c.app.xnodes.size());
+  for (int u = 0; u < n; ++u)
+    for (int v = 0; v < n; ++v) {
+      const KeyPlacement &a = c.policy.placements[at(u)], &b = c.policy.placements[at(v)];
+      if (u == v || a.xpu != b.xpu || a.key_us[0] > b.key_us[0] || random.below(3) == 0 ||
+          !released_together(*parts, parts->of[at(u)], parts->of[at(v)]))
+        continue;
+      const Case before = c;
+      c.policy.order.emplace_back(u, v);
+      // Room for v behind u, where there is none.
+      const std::int64_t wcet = *c.app.xnodes[at(v)].wcet_on(c.platform.xpus[at(b.xpu)].type);
+      KeyPlacement& late = c.policy.placements[at(v)];
+      late.key_us[0] = std::max(late.key_us[0], a.key_us[0] + wcet);
+      if (!claim_what_follows(c)) c = before;
+    }
+}
+
 /// A case that holds, by keys ever wider; nothing: none was found.
 inline std::optional<Case> valid(std::uint64_t seed, const Wanted& wanted) {
   Case c = random_app(seed, wanted);
@@ -212,6 +238,7 @@ inline std::optional<Case> valid(std::uint64_t seed, const Wanted& wanted) {
         }
         if (!claim_what_follows(wide)) continue;
       }
+      if (wanted.order) add_order(wide, seed);
       return wide;
     }
   return {};

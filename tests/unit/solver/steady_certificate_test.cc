@@ -15,7 +15,7 @@ namespace {
 using attack::Case;
 
 bool certified(const Case& c) {
-  const auto p = Problem::create(c.app, c.platform);
+  const auto p = Problem::create(c.app, c.platform, {}, c.policy.order);
   if (!p) return false;
   std::vector<int> xpu;
   for (int i = 0; i < p->num_xnodes; ++i) {
@@ -39,6 +39,7 @@ attack::Wanted mixture(std::uint64_t seed) {
   w.preempt_us = seed / 8 % 2 == 0 ? 10 : 0;
   w.jitter_us = seed % 7 > 3 ? 60 : 0;
   w.holds = seed % 4 > 1;
+  w.order = seed % 3 == 1;
   return w;
 }
 
@@ -55,6 +56,33 @@ TEST(SteadyCertificate, NothingBreaksWhatIsJustAccepted) {
   }
   EXPECT_GE(made, 45);
   EXPECT_GE(touched, made / 3);  // the attack reaches keys: it would see a microsecond more
+}
+
+/// Pairs make keys possible that are not without them: whoever forgets them breaks those.
+TEST(SteadyCertificate, PairsAreCountedOn) {
+  int made = 0, refused = 0, broken = 0;
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    attack::Wanted w = mixture(seed);
+    w.order = true;
+    w.preemptive = seed % 4 == 0;
+    w.load = 0.8;
+    auto c = attack::valid(seed, w);
+    if (!c || c->policy.order.empty() || !certified(*c)) continue;
+    attack::tighten(*c, seed, seed % 3 == 0, certified);
+    ++made;
+    EXPECT_FALSE(attack::attack(c->app, c->platform, c->policy, {20'000, seed}).broken()) << seed;
+    c->policy.order.clear();
+    const bool accepted = certified(*c);
+    refused += accepted ? 0 : 1;
+    const bool breaks =
+        !attack::attack(c->app, c->platform, c->policy, {20'000, seed}).late.empty();
+    EXPECT_FALSE(accepted && breaks) << seed;
+    broken += breaks ? 1 : 0;
+  }
+  std::printf("%d made, %d refused without order, %d broken\n", made, refused, broken);
+  EXPECT_GE(made, 20);
+  EXPECT_GE(refused, made / 4);
+  EXPECT_GE(broken, made / 8);
 }
 
 }  // namespace

@@ -406,7 +406,58 @@ attack::Wanted kind(std::uint64_t seed) {
   w.jitter_us = seed % 7 > 3 ? 60 : 0;
   w.thirds = seed % 6 == 5;
   w.holds = seed % 4 > 1;
+  w.order = seed % 4 == 3;
   return w;
+}
+
+/// As SteadyCertificate.PairsAreCountedOn, of the check: its windows, its lags and its chains.
+TEST(SteadyCheck, PairsAreCountedOn) {
+  int made = 0, refused = 0, broken = 0;
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    attack::Wanted w = kind(seed);
+    w.order = true;
+    w.preemptive = seed % 3 == 0;
+    auto c = attack::valid(seed, w);
+    if (!c || c->policy.order.empty()) continue;
+    attack::tighten(*c, seed, seed % 2 == 0);
+    ++made;
+    const auto found = attack::attack(c->app, c->platform, c->policy, {20'000, seed});
+    EXPECT_FALSE(found.broken()) << seed << ": " << found.late << found.chain;
+    const auto played = play(c->app, c->platform, c->policy, {1, true, true, true, seed});
+    ASSERT_TRUE(played) << played.error().to_string();
+    EXPECT_EQ(played->late, 0) << seed << ": " << played->first_late;
+    c->policy.order.clear();
+    const bool accepted = check(c->app, c->platform, c->policy).has_value();
+    const bool breaks = attack::attack(c->app, c->platform, c->policy, {20'000, seed}).broken();
+    EXPECT_FALSE(accepted && breaks) << seed;
+    refused += accepted ? 0 : 1;
+    broken += breaks ? 1 : 0;
+  }
+  std::printf("%d made, %d refused without order, %d broken\n", made, refused, broken);
+  EXPECT_GE(made, 20);
+  EXPECT_GE(refused, made / 4);
+  EXPECT_GE(broken, made / 8);
+}
+
+TEST(SteadyCheck, OrderIsOfWhatIsReleasedTogetherOnOneXpu) {
+  Case c = empty();
+  xnode(c, source(c, 1000), 1, 100, {500});
+  xnode(c, source(c, 1000), 1, 100, {600});
+  xnode(c, source(c, 2000), 1, 100, {700});
+  xnode(c, source(c, 1000), 0, 100, {700});
+  EXPECT_TRUE(holds(c));
+  c.policy.order = {{0, 1}};
+  EXPECT_TRUE(holds(c));
+  c.policy.order = {{0, 1}, {1, 0}};
+  EXPECT_TRUE(refused(c, "circle"));
+  c.policy.order = {{0, 2}};
+  EXPECT_TRUE(refused(c, "do not belong together"));
+  c.policy.order = {{0, 3}};
+  EXPECT_TRUE(refused(c, "between two XPUs"));
+  for (const auto& pair : {std::pair(0, 0), std::pair(-1, 0), std::pair(0, 4)}) {
+    c.policy.order = {pair};
+    EXPECT_TRUE(refused(c, "no pair of XNodes"));
+  }
 }
 
 TEST(SteadyCheck, NothingBreaksWhatIsJustAccepted) {

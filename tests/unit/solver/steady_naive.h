@@ -212,6 +212,12 @@ class NaiveRun {
           passes = tr.transfer_us * scale_;
       t = std::max(t, before.end + passes);
     }
+    for (const auto& [u, v] : policy_.order) {
+      if (v != j.xnode) continue;
+      const Job& before = jobs_[at(jobs_of_[at(u)][at(j.n)])];
+      if (before.end < 0) return -1;
+      t = std::max(t, before.end);
+    }
     if (j.n > 0) {
       const Job& last = jobs_[at(jobs_of_[at(j.xnode)][at(j.n - 1)])];
       if (last.end < 0) return -1;

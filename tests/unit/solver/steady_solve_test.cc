@@ -265,8 +265,9 @@ TEST(SteadySolve, NoAnswerIsWorseThanItsHint) {
     options.hint = &wrong;
     const Result<Answer> after = solve(app, platform, options);
     ASSERT_TRUE(after) << seed;
-    if (after->outcome == Outcome::kPolicy)
+    if (after->outcome == Outcome::kPolicy) {
       EXPECT_TRUE(check(app, platform, after->policy)) << seed;
+    }
   }
   EXPECT_GT(asked, 40);
   EXPECT_GE(by_activation, 10);
