@@ -92,8 +92,6 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
   if (!asked) return;
   report.feasibility = met ? Feasibility::kMet : Feasibility::kUnknown;
   if (met) return;
-  // What is proven is proven of one release.
-  if (app.rates() > 1) return;
   if (whole && policy.lower_bound_us > *whole) {
     report.feasibility = Feasibility::kImpossible;
     return;
@@ -139,21 +137,6 @@ Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decisio
   return {};
 }
 
-/// Priorities by period, the shortest first; those of one period stay as they are among
-/// themselves, and what runs how often nobody knows comes last.
-void rate_monotonic(const AppSpec& app, Decision& decision) {
-  const std::vector<std::int64_t> periods = app.periods();
-  std::vector<int> sequence = sequence_of(decision.priority);
-  const auto period = [&](int i) {
-    const std::int64_t known = periods[static_cast<std::size_t>(i)];
-    return known > 0 ? known : kMaxPeriodUs + 1;
-  };
-  std::stable_sort(sequence.begin(), sequence.end(),
-                   [&](int a, int b) { return period(a) < period(b); });
-  std::int64_t priority = static_cast<std::int64_t>(sequence.size());
-  for (const int i : sequence) decision.priority[static_cast<std::size_t>(i)] = priority--;
-}
-
 }  // namespace
 
 Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& problem,
@@ -175,19 +158,13 @@ Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& 
 
 Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOptions& options) {
   const auto began = std::chrono::steady_clock::now();
+  XAUTO_TRY(validate_one_rate(app));
   XAUTO_ASSIGN(Problem problem, Problem::create(app, platform));
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
-  const bool several_rates = app.rates() > 1, searches = method_searches(options.method);
+  const bool searches = method_searches(options.method);
   if (!searches && (!problem.goal.plain() || !problem.groups.empty()))
     return fail(ErrorCode::kInvalid, "chains and groups need method auto or search",
                 "method " + options.method);
-  if (several_rates && options.certify)
-    return fail(
-        ErrorCode::kInvalid,
-        "what is certified is kept by run-time order, and nothing enforces an order between "
-        "the " +
-            std::to_string(app.rates()) + " rates of the sources",
-        "certify", "leave it out: the policy then goes by priorities");
   // What the search begins with has a part of its time; a method without search all of it.
   const auto at_most = [&](double share) {
     const double seconds = kAtLeastS + share * std::min(options.time_limit_s, kNoLimitS);
@@ -212,10 +189,8 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   } else if (searches) {
     const std::vector<Solution> first = starts(problem, at_most(kForStarts));
     note_first(first.front().makespan);
-    SolveOptions asked = options;
-    asked.priorities_only = asked.priorities_only || several_rates;
     const AutoResult result =
-        solve_in_parallel(problem, asked, first, options.method == "auto", began);
+        solve_in_parallel(problem, options, first, options.method == "auto", began);
     const Solution& chosen = options.certify ? result.ordered : result.best;
     decision = to_decision(chosen);
     ordered = chosen.ordered;
@@ -233,9 +208,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   }
   // The same latency, but a worst case close to it. The baselines stay as they are.
   const bool baseline = options.method == "heft" || options.method == "local";
-  if (several_rates && !baseline)
-    rate_monotonic(app, decision);
-  else if (!ordered && problem.goal.plain() && !baseline)
+  if (!ordered && problem.goal.plain() && !baseline)
     decision = settle_priorities(
         problem, decision.order.empty() ? decision : order_undisturbed(problem, decision),
         a_moment(problem, options));
@@ -246,7 +219,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
       ordered ? policy.latency_us
               : worst_case(problem, decision, kMostChainSteps, a_moment(problem, options));
   account_for_deadlines(app, problem, options, policy);
-  policy.optimal = policy.lower_bound_us == policy.latency_us && !several_rates;
+  policy.optimal = policy.lower_bound_us == policy.latency_us;
   policy.solve_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
                         std::chrono::steady_clock::now() - began)
                         .count();

@@ -28,11 +28,9 @@ struct SolveOptions {
   int threads = 1;
   std::uint64_t seed = 1;
   std::int64_t max_evaluations =
-      0;                 ///< 0: no limit; with a limit the answer does not depend on speed
-  bool certify = false;  ///< minimise the certified worst case instead of the latency
-  /// No run-time order; solve() asks for it where the sources have several rates, between which
-  /// nothing enforces an order.
-  bool priorities_only = false;
+      0;                         ///< 0: no limit; with a limit the answer does not depend on speed
+  bool certify = false;          ///< minimise the certified worst case instead of the latency
+  bool priorities_only = false;  ///< no run-time order
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: return the best so far
   /// Called from the solving thread: at once with the first answer, then at most 10 Hz.
   std::function<void(const Progress&)> on_progress;
@@ -54,13 +52,9 @@ struct SolveReport {
 };
 
 /// Errors: kInvalid / kInfeasible from Problem::create; kInvalid for an unknown method, for chains
-/// and groups where the method knows none, for `certify` where the sources have several rates. A
-/// time limit is not an error: the best policy so far comes back with its bound, after at most 1.3
-/// times the limit and a second more, whatever the size; a stop takes less than a second.
-///
-/// Where the app's sources have several rates, the policy is one of priorities, most frequent
-/// XNodes first (rate-monotonic) as far as the app says who hears of what, and `optimal` is not
-/// claimed.
+/// and groups where the method knows none, for sources of several rates. A time limit is not an
+/// error: the best policy so far comes back with its bound, after at most 1.3 times the limit and a
+/// second more, whatever the size; a stop takes less than a second.
 [[nodiscard]] Result<Policy> solve(const AppSpec& app, const Platform& platform,
                                    const SolveOptions& options);
 

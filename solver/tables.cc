@@ -522,6 +522,7 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
                             const Scenarios& scenarios, const TablesOptions& options) {
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
+  XAUTO_TRY(validate_one_rate(app));
   XAUTO_TRY(validate(scenarios, app, platform));
   if (app.version == 2) return steady::solve_key_tables(app, platform, scenarios, options);
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)

@@ -155,15 +155,8 @@ class Check {
     }
   }
 
-  /// A policy is one of one release: with several rates there is more that it says nothing about.
   void rates() {
-    if (app_.rates() < 2) return;
-    taken(rates_note(app_));
-    if (policy_.optimal)
-      lie("optimal is claimed, but the sources have " + std::to_string(app_.rates()) + " rates");
-    if (!policy_.order.empty())
-      lie("run-time order is stated, which nothing enforces between the " +
-          std::to_string(app_.rates()) + " rates of the sources");
+    if (const Status one = validate_one_rate(app_); !one) lie(one.error().what);
   }
 
   void schedule() {

@@ -441,12 +441,14 @@ Status validate(const AppSpec& app) {
   return validate_losses(app);
 }
 
-std::string rates_note(const AppSpec& app) {
+Status validate_one_rate(const AppSpec& app) {
   const std::size_t rates = app.rates();
-  if (rates < 2) return {};
-  return "the sources have " + std::to_string(rates) +
-         " rates; this version plans one release of all of them, so nothing is claimed optimal for "
-         "the rates";
+  if (app.version != 1 || rates < 2) return {};
+  return fail(ErrorCode::kInvalid,
+              "its sources have " + std::to_string(rates) +
+                  " rates, and version 1 of app.json plans one release of all of them",
+              "app " + quoted(app.name),
+              "write version 2: xauto profile --app-version 2 --app-out app.json");
 }
 
 namespace {

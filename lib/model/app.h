@@ -184,8 +184,8 @@ inline constexpr const char* kMainClock = "main";
 /// Sources and XNodes as above, edges in range, no self edge, no duplicate edge, no cycle (the
 /// message names the XNodes of one cycle). Version 2: and what model/periodic.h says.
 [[nodiscard]] Status validate(const AppSpec& app);
-/// What a policy leaves open where the sources have several rates, in one line; otherwise empty.
-[[nodiscard]] std::string rates_note(const AppSpec& app);
+/// kInvalid: an app of version 1 whose sources have several rates, for which there is no policy.
+[[nodiscard]] Status validate_one_rate(const AppSpec& app);
 /// Every XNode has an implementation for a type that the platform has an instance of, and all of
 /// them one after the other, each on its slowest and paying for a preemption, end by kMaxTimeUs: a
 /// time of any policy then fits into its file.

@@ -512,7 +512,7 @@ std::vector<std::string> Releaser::broken() const {
 
 /// The earliest nominal release of the activations that `samples` are for.
 std::int64_t Releaser::component_release_ns(std::int64_t now_ns,
-                                            const std::vector<Sample>& samples) const {
+                                            std::span<const Sample> samples) const {
   std::int64_t earliest_ns = INT64_MAX;
   for (const Sample& sample : samples) {
     const auto source = static_cast<std::size_t>(
@@ -526,10 +526,14 @@ std::int64_t Releaser::component_release_ns(std::int64_t now_ns,
 void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const std::uint64_t sequence = samples.front().sequence;
   // What waited was not released before.
-  if (tables_ && context_.session.keys)
+  const bool by_keys = tables_ != nullptr && context_.session.keys.has_value();
+  if (by_keys)
     tables_->at_release(component_release_ns(now_ns, samples));
   else if (tables_ && tables_->before(sequence, [this] { return wait_drained(); }))
     now_ns = xauto::now_ns();
+  const auto left_out = [&](const Sample& sample) {
+    return by_keys && tables_->leaves_out(component_release_ns(now_ns, std::span(&sample, 1)));
+  };
   const auto origin_of = [&](const Sample& sample) {
     if (sample.nominal_ns > 0) return sample.nominal_ns;
     return sample.stamp_ns > 0 ? sample.stamp_ns : now_ns;
@@ -539,9 +543,9 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   std::int64_t oldest_ns = INT64_MAX;
   for (const Sample& sample : samples) oldest_ns = std::min(oldest_ns, origin_of(sample));
   ledger_.open(sequence, oldest_ns);
-  // What was left out has no message: nothing of it can come out.
+  // Nothing can come out of what has no message, or is left out.
   for (const Sample& sample : samples)
-    if (sample.message != nullptr)
+    if (sample.message != nullptr && !left_out(sample))
       ledger_.released(static_cast<std::size_t>(
                            context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
                        sample.sequence, origin_of(sample));
@@ -564,6 +568,11 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   for (const Sample& sample : samples) {
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
+    if (left_out(sample)) {  // nobody waits for it, and nothing was lost
+      wiring_.channel(static_cast<std::size_t>(topic))
+          .publish({nullptr, detail::kSkippedNs, sample.sequence});
+      continue;
+    }
     detail::Envelope envelope{sample.message, origin_ns, sample.sequence};
     envelope.urgent = sample.urgent;
     if (context_.graph.tells_origins) {

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -90,7 +91,7 @@ class Releaser {
   [[nodiscard]] std::int64_t distance_ns(std::int64_t from_ns, std::int64_t to_ns);
   std::int64_t take_fed(std::vector<Sample> fed, std::int64_t due_ns, std::vector<Sample>& samples);
   [[nodiscard]] std::int64_t component_release_ns(std::int64_t now_ns,
-                                                  const std::vector<Sample>& samples) const;
+                                                  std::span<const Sample> samples) const;
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
   [[nodiscard]] Status record_topic(record::Recorder& recorder, std::size_t topic);

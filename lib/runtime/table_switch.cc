@@ -10,6 +10,7 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "model/claims.h"
+#include "model/drain.h"
 #include "runtime/placing.h"
 #include "session/table_claims.h"
 
@@ -95,6 +96,11 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
     if (session.keys) continue;  // it is chains that something is claimed of
     line.worst_case_us = line.allowed_us = tables_.serves[s].worst_case_us;
     if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
+  }
+  for (int from = 0; session.keys && from < static_cast<int>(tables_.tables.size()); ++from) {
+    std::vector<std::int64_t>& of = drains_us_.emplace_back();
+    for (int to = 0; to < static_cast<int>(tables_.tables.size()); ++to)
+      of.push_back(from == to ? 0 : drain_us(tables_, from, to, session.app, session.platform));
   }
   put(0, table_);
 }
@@ -192,6 +198,7 @@ std::pair<Choice, int> TableSwitch::choose() {
 
 void TableSwitch::at_release(std::int64_t nominal_ns) {
   thread_.check();
+  if (leaves_out(nominal_ns)) return;  // what is chosen meanwhile counts when it has drained
   const int from = scenario_;
   const auto [choice, table] = choose();
   const std::int64_t now = now_ns();
@@ -200,6 +207,7 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
   context_.board.scenario(static_cast<std::size_t>(from))
       .releases.fetch_add(1, std::memory_order_relaxed);
   const std::int64_t before_ns = std::exchange(released_ns_, now);
+  std::int64_t drains_us = 0;
   if (choice.table != table) {
     if (static_cast<std::int64_t>(since_us) * 1000 < settled_ns_) {
       context_.board.header().unsettled.fetch_add(1, std::memory_order_relaxed);
@@ -207,24 +215,37 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
     }
     const std::int64_t too_long_ns = choice.saw_ns - choice.allowed_ns +
                                      (context_.session.emulates() ? kEmulatorStallUs * 1000 : 0);
-    put_keys(since_us, table, choice,
-             choice.why != Why::kOverrun ||
-                 noticed_in_time(now, too_long_ns, before_ns, tables_.notice_us * 1000));
+    drains_us = put_keys(since_us, table, choice,
+                         choice.why != Why::kOverrun || noticed_in_time(now, too_long_ns, before_ns,
+                                                                        tables_.notice_us * 1000));
   }
   if (!is_news(choice, from)) return;
   SwitchReport change;
   change.release = context_.board.released();
   change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
   change.to = tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name;
+  change.held_us = drains_us;
   tell(std::move(change), choice);
 }
 
-/// What is nominally released at `from_us` or later has the table of `to`, in whichever process. `in_time`:
-/// the certificate of the change counts with nothing that came earlier.
-void TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time) {
-  put(from_us, to.table);
-  const Handover* change = handover_of(tables_, from, to.table);
+/// What is nominally released at `from_us` or later has the table of `to`, in whichever process; where the
+/// change drains, after that. `in_time`: the certificate of the change counts with nothing that came
+/// earlier. Returns how long it drains.
+std::int64_t TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to,
+                                   bool in_time) {
+  const std::int64_t drains_us =
+      drains_us_[static_cast<std::size_t>(from)][static_cast<std::size_t>(to.table)];
+  put(from_us + static_cast<std::uint64_t>(drains_us), to.table);
   const auto since_ns = static_cast<std::int64_t>(from_us) * 1000;
+  drains_from_ns_ = since_ns;
+  drains_until_ns_ = since_ns + drains_us * 1000;
+  const Handover* change = handover_of(tables_, from, to.table);
+  Handover drained;
+  if (drains_us > 0) {  // nothing is claimed of what meets it, and all is in time again
+    drained.worst_case_us.assign(context_.session.app.chains.size(), kNotThere);
+    drained.settles_us = drains_us;
+    change = &drained;
+  }
   const std::int64_t settles_ns = change == nullptr ? 0 : change->settles_us * 1000;
   const bool proven = in_time && change != nullptr && change->claims_all();
   if (!proven) context_.board.header().unproven_switches.fetch_add(1, std::memory_order_relaxed);
@@ -234,6 +255,7 @@ void TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to, bo
                           static_cast<std::uint32_t>(to.scenario)});
   // Jobs of the next change may be too long that much before it is known.
   settled_ns_ = since_ns + settles_ns + tables_.notice_us * 1000;
+  return drains_us;
 }
 
 bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {

@@ -17,7 +17,9 @@
 // change before has settled; a release that would need another table sooner keeps the one in force, is
 // counted, and nothing is claimed then. Nor is it after a change that was made later than the certificate
 // counts with (Tables::notice_us): a job had been too long for more than that when a release still had
-// the old table.
+// the old table. Where nothing is claimed of some chain, the change drains (model/drain.h): for so long
+// nothing is released, and what comes from then on has the new table's claims. Where an XPU is lost that
+// the old table uses, it does not: what hangs there may never end.
 //
 // A job that runs too long decides for the next release, which is the first that can have another table.
 // In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
@@ -79,6 +81,11 @@ class TableSwitch {
   /// The same of an app of version 2: activations that are nominally released at `nominal_ns` of
   /// CLOCK_MONOTONIC are about to be, or those that were in part. Never waits.
   void at_release(std::int64_t nominal_ns);
+  /// After that: whether activations of that nominal release are left out, since a change drains.
+  [[nodiscard]] bool leaves_out(std::int64_t nominal_ns) const {
+    thread_.check();
+    return nominal_ns >= drains_from_ns_ && nominal_ns < drains_until_ns_;
+  }
   /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
   [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
 
@@ -101,7 +108,7 @@ class TableSwitch {
   void judge(std::uint64_t below, SwitchReport* change);
   void show_spanned(const SwitchReport& change, int from, int to);
   void put(std::uint64_t release, int table);
-  void put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time);
+  std::int64_t put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time);
   void tell(SwitchReport change, const Choice& choice);
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const MachineState& machine)
       XAUTO_REQUIRES(mutex_);
@@ -139,9 +146,11 @@ class TableSwitch {
   int lost_ = -1;              ///< the XPU that was last told to be lost
   bool told_outside_ = false;  ///< what was told last is that no scenario allows what was seen
   // Of keys:
-  std::int64_t newest_ns_ = 0;    ///< latest nominal release so far
-  std::int64_t settled_ns_ = 0;   ///< from then on another change is certified
-  std::int64_t released_ns_ = 0;  ///< when the last one that has a table got it
+  std::int64_t newest_ns_ = 0;                        ///< latest nominal release so far
+  std::int64_t settled_ns_ = 0;                       ///< from then on another change is certified
+  std::int64_t released_ns_ = 0;                      ///< when the last one that has a table got it
+  std::vector<std::vector<std::int64_t>> drains_us_;  ///< [from][to]; 0: it does not drain
+  std::int64_t drains_from_ns_ = 0, drains_until_ns_ = 0;  ///< what is released there is left out
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0, over_changes_ = 0;
   OutsideLog outside_ XAUTO_GUARDED_BY(mutex_);

@@ -168,8 +168,7 @@ std::string words_of_overruns(const RunReport& report) {
 std::string words_of_unproven(std::uint64_t switches) {
   return fmt::format(
       "{} changes of the table have no worst case for some chains, of which nothing is claimed "
-      "since: "
-      "tables.json has none, or a job had been too long for more than its notice_us",
+      "since: an XPU was lost, or a job had been too long for more than tables.json's notice_us",
       switches);
 }
 

@@ -497,7 +497,7 @@ const char* drop_reason(std::uint32_t reason) {
     case XAUTO_DROP_OFF:
       return "the module is off";
     case XAUTO_DROP_SKIPPED:
-      return "a module skipped it, as it was told";
+      return "it was skipped, as was told, or a change of tables drained";
     default:
       return "for an unknown reason";
   }

@@ -59,10 +59,10 @@ class KeyTables(unittest.TestCase):
         less["tables"][1]["chains"][0]["worst_case_us"] -= 1
         self.assertRegex(self.check(less)["lies"][0], "^table 'table 1': ")
 
-    def run_about(self, *flags):
+    def run_about(self, *flags, policy="tables.json"):
         with open(self.folder / "out", "w") as out, open(self.folder / "err", "w") as err:
             tool = subprocess.Popen([XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy",
-                                     "tables.json", "--activations", "0", "--deployment", "deployment.json", "--json", "--trace-out",
+                                     policy, "--activations", "0", "--deployment", "deployment.json", "--json", "--trace-out",
                                      "t.pftrace", *flags, "--",
                                      str(BIN / "driving-steady")], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
@@ -80,7 +80,7 @@ class KeyTables(unittest.TestCase):
         self.assertEqual(report["lost_activations"], 0)
         self.assertIn("by the policy's keys", report["worst_case_of"])
         self.judge(report)
-        self.judge_changes(report)
+        return report
 
     def judge_changes(self, report):
         """Where a change took another table, a result met it. What is claimed of that is of the two tables and its chain."""
@@ -136,10 +136,28 @@ class KeyTables(unittest.TestCase):
         self.assertGreater(len(said), 1)
 
     def test_every_job_of_an_activation_has_its_table(self):
-        self.run_about()
+        self.judge_changes(self.run_about())
 
     def test_so_it_is_in_processes_of_their_own(self):
-        self.run_about("--isolate")
+        self.judge_changes(self.run_about("--isolate"))
+
+    def test_a_change_of_which_nothing_is_claimed_drains(self):
+        tables = copy.deepcopy(self.tables)
+        for handover in tables["handovers"]:
+            handover["not_claimed"] = ["for a test"]
+            for chain in handover["chains"]:
+                chain.pop("worst_case_us", None)
+        self.assertEqual(self.check(tables)["lies"], [])
+        self.write("drains.json", tables)
+        serves = {s["scenario"]: s["table"] for s in tables["serves"]}
+        for isolate in ([], ["--isolate"]):
+            report = self.run_about(*isolate, policy="drains.json")
+            held = {bool(s["held_us"]) for s in report["switches"] if serves[s["from"]] != serves[s["to"]]}
+            self.assertEqual(held, {True})
+            self.assertEqual({s["spanned_us"] for s in report["switches"]}, {None})
+            for module in report["modules"]:  # none is lost: run_about() has looked
+                self.assertGreater(module["skipped"], 0, module)
+            self.assertNotRegex(str(report["worst_case_broken"]), "have no worst case")
 
 
 if __name__ == "__main__":

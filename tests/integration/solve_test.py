@@ -202,35 +202,15 @@ class Solve(unittest.TestCase):
         self.assertLess(usage.ru_utime + usage.ru_stime - used, SLACK * 2)
         self.assertEqual(len(json.loads(policy.read_text())["xnodes"]), 20000)
 
-    def test_several_rates_are_said_and_nothing_is_called_optimal(self):
+    def test_several_rates_of_version_1_are_refused_in_a_line(self):
         app = self.app(12)
         spec = json.loads(app.read_text())
-        plain = xauto("solve", "--app", app, "--platform", "small")
-        self.assertIn("proven optimal", plain.stdout)  # the same app, of one rate
-        roots = {x["name"] for x in spec["xnodes"]} - {v for _, v in spec["edges"]}
         spec["sources"] = [{"name": "camera", "period_us": 33333}, {"name": "lidar", "period_us": 100000}]
-        for xnode in spec["xnodes"]:
-            if xnode["name"] in roots:
-                xnode["source"] = "camera"
         app.write_text(json.dumps(spec))
-        line = ("the sources have 2 rates; this version plans one release of all of them, so nothing is claimed "
-                "optimal for the rates")
-        code, out, err, policy, _ = self.solve(app)
-        self.assertEqual(code, 0, err)
-        self.assertIn(line, out)
-        self.assertNotIn("proven", out)
-        self.assertNotIn("optimal", out.replace(line, ""))
-        self.assertFalse(policy["optimal"])
-        self.assertNotIn("order", policy)
-        code, out, err, _, _ = self.solve(app, "--json")
-        answer = json.loads(out)
-        self.assertEqual((answer["rates"], answer["note"], answer["optimal"]), (2, line, False))
-        arguments = ("--app", app, "--platform", "small", "--policy", self.at / "policy.json")
-        for verb in ("check", "explain", "simulate"):
-            said = xauto(verb, *arguments)
-            self.assertEqual(said.returncode, 0, said.stdout + said.stderr)
-            self.assertIn(line, said.stdout, verb)
-            self.assertIn(line, xauto(verb, *arguments, "--json").stdout, verb)
+        done = xauto("solve", "--app", app, "--platform", "small")
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("its sources have 2 rates, and version 1 of app.json plans one release of all of them", done.stderr)
+        self.assertIn("xauto profile --app-version 2", done.stderr)
 
     def test_a_number_below_a_bound_cannot_be_overlooked(self):
         app = self.app(12, 4)

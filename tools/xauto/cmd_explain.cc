@@ -283,7 +283,6 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
                    {"running_us", why.running_us},
                    {"critical_path_us", why.critical_path_us},
                    {"chain", chain}};
-    if (app.rates() > 1) answer["note"] = rates_note(app);
     std::cout << answer.dump(2) << "\n";
     return kDone;
   }
@@ -296,7 +295,6 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
                 xpu(link.xnode).c_str(), in_ms(link.ready_us), in_ms(link.wcet_us),
                 in_ms(link.finish_us), behind.c_str());
   }
-  if (app.rates() > 1) std::printf("\n  %s\n", rates_note(app).c_str());
   std::printf("\n  On any number of XPUs the app would still take %.2f ms (its critical path).\n",
               in_ms(why.critical_path_us));
   return kDone;

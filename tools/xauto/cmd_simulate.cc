@@ -60,16 +60,14 @@ Result<int> simulate(const SimulateFlags& flags, const Options& options) {
     table += fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", app.xnodes[i].name, xpu, s.start[i],
                          s.finish[i]);
   }
-  Json document = {{"schema", "xauto.simulation"},
-                   {"version", 1},
-                   {"app", app.name},
-                   {"platform", platform.name},
-                   {"model", flags.model},
-                   {"latency_us", s.makespan},
-                   {"preemptions", s.preemptions},
-                   {"xnodes", std::move(xnodes)}};
-  const std::string note = rates_note(app);
-  if (!note.empty()) document["note"] = note;
+  const Json document = {{"schema", "xauto.simulation"},
+                         {"version", 1},
+                         {"app", app.name},
+                         {"platform", platform.name},
+                         {"model", flags.model},
+                         {"latency_us", s.makespan},
+                         {"preemptions", s.preemptions},
+                         {"xnodes", std::move(xnodes)}};
   const std::string result = document.dump(2) + "\n";
   if (options.json)
     std::cout << result;
@@ -77,8 +75,7 @@ Result<int> simulate(const SimulateFlags& flags, const Options& options) {
     std::cout << table
               << fmt::format("\n  {} on {}, {}: latency {:.3f} ms, {} preemptions\n", app.name,
                              platform.name, flags.model, static_cast<double>(s.makespan) / 1000,
-                             s.preemptions)
-              << (note.empty() ? "" : "\n  " + note + "\n");
+                             s.preemptions);
   outputs.write(flags.out, result);
   return outputs.status(kDone);
 }

@@ -78,8 +78,7 @@ Status read_objectives(SolveFlags& flags) {
   return {};
 }
 
-const char* words(solver::Feasibility feasibility, bool one_rate) {
-  if (!one_rate && feasibility == solver::Feasibility::kUnknown) return "missed by one release";
+const char* words(solver::Feasibility feasibility) {
   switch (feasibility) {
     case solver::Feasibility::kMet:
       return "met";
@@ -143,7 +142,7 @@ void print_more(const AppSpec& app, const Policy& policy, const solver::SolveRep
         100 * static_cast<double>(report.certified_us - policy.latency_us) /
             static_cast<double>(std::max<std::int64_t>(1, policy.latency_us)));
   if (report.feasibility != solver::Feasibility::kNotAsked)
-    std::printf("  deadlines    %12s   %s\n", "", words(report.feasibility, app.rates() < 2));
+    std::printf("  deadlines    %12s   %s\n", "", words(report.feasibility));
   for (const solver::ChainOutcome& chain : report.chains)
     std::printf("  chain %-20s %s%s\n", chain.name.c_str(), ms(chain.latency_us).c_str(),
                 chain.deadline_us
@@ -161,16 +160,12 @@ void print_json(const AppSpec& app, const Platform& platform, const Policy& poli
                 double reading_ms) {
   Json root = Json::parse(to_json(policy, app, platform)).value_or(Json());
   root["evaluations"] = report.evaluations;
-  if (app.rates() > 1) {
-    root["rates"] = app.rates();
-    root["note"] = rates_note(app);
-  }
   if (report.first_latency_us > 0)
     root["first_answer"] = {{"latency_us", report.first_latency_us},
                             {"after_ms", reading_ms + report.first_answer_ms}};
   if (report.certified_us > 0) root["certified_us"] = report.certified_us;
   if (report.feasibility != solver::Feasibility::kNotAsked)
-    root["deadlines"] = words(report.feasibility, app.rates() < 2);
+    root["deadlines"] = words(report.feasibility);
   for (const solver::ChainOutcome& chain : report.chains)
     root["chains"].push_back({{"name", chain.name},
                               {"latency_us", chain.latency_us},
@@ -206,18 +201,14 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
   }
   std::printf("\n  latency      %12s\n", ms(policy.latency_us).c_str());
   std::printf("  lower bound  %12s   %s\n", ms(policy.lower_bound_us).c_str(),
-              policy.optimal    ? "proven optimal"
-              : app.rates() > 1 ? "of one release"
-                                : "no policy is shorter");
+              policy.optimal ? "proven optimal" : "no policy is shorter");
   std::printf("  gap          %10.2f %%\n",
               100 * static_cast<double>(policy.latency_us - policy.lower_bound_us) / latency);
   if (policy.worst_case_us)
     std::printf("  worst case   %12s   of %s%s\n", ms(*policy.worst_case_us).c_str(),
                 kWorstCaseScope, policy.order.empty() ? "" : ", kept by run-time order");
-  if (const std::string note = rates_note(app); !note.empty())
-    std::printf("\n  %s\n", note.c_str());
-  else if (policy.worst_case_us && !app.sources.empty() &&
-           app.sources.front().period.floor_us() < *policy.worst_case_us)
+  if (policy.worst_case_us && !app.sources.empty() &&
+      app.sources.front().period.floor_us() < *policy.worst_case_us)
     std::printf(
         "\n  releases come every %s: those that overlap may take longer than the worst case\n",
         ms(app.sources.front().period.floor_us()).c_str());

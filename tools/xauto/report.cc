@@ -165,8 +165,9 @@ std::string losses_of(const PolicyRun& run) {
                          m.unended > 0 ? fmt::format(", {} did not end", m.unended) : "");
     if (m.skipped > 0)
       out += fmt::format(
-          "  {}: XModule {}: {} activations done, {} skipped as `overload: skip` says\n", run.name,
-          m.name, m.activations, m.skipped);
+          "  {}: XModule {}: {} activations done, {} skipped, as `overload: skip` or a "
+          "change of tables that drained says\n",
+          run.name, m.name, m.activations, m.skipped);
   }
   return out;
 }
@@ -300,22 +301,28 @@ std::string key_tables_text(const PolicyRun& run) {
          nearest_text(report);
 }
 
+std::string drained_text(const runtime::SwitchReport& change, bool by_keys) {
+  if (!by_keys || change.held_us == 0) return {};
+  return fmt::format("; nothing was released for {} ms, while it drained",
+                     in_ms(change.held_us, 1));
+}
+
 /// The last changes.
-std::string changes_text(const runtime::RunReport& report) {
+std::string changes_text(const runtime::RunReport& report, bool by_keys) {
   std::string out;
   constexpr std::size_t kShown = 5;
   const std::size_t first = report.switches.size() - std::min(kShown, report.switches.size());
   for (std::size_t i = first; i < report.switches.size(); ++i) {
     const runtime::SwitchReport& s = report.switches[i];
-    out += fmt::format("  release {}: '{}', table '{}' ({}){}\n", s.release, s.to, s.table, s.why,
-                       s.detail.empty() ? "" : ": " + s.detail);
+    out += fmt::format("  release {}: '{}', table '{}' ({}){}{}\n", s.release, s.to, s.table, s.why,
+                       s.detail.empty() ? "" : ": " + s.detail, drained_text(s, by_keys));
   }
   return out;
 }
 
 std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims) {
   const runtime::RunReport& report = run.report;
-  if (!run.tables->keys.empty()) return key_tables_text(run) + changes_text(report);
+  if (!run.tables->keys.empty()) return key_tables_text(run) + changes_text(report, true);
   std::size_t width = 8;
   for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
   std::string out = fmt::format("\n  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", "scenario", width,
@@ -332,7 +339,7 @@ std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims
     out +=
         fmt::format("; a release waited at most {} ms for what was in flight", in_ms(held_us, 1));
   out += "\n";
-  return out + nearest_text(report) + changes_text(report) +
+  return out + nearest_text(report) + changes_text(report, false) +
          fmt::format("  {}: {}\n", run.name,
                      to_string(claims, taken_from(report, kEmulatorUs), Layout::kList));
 }

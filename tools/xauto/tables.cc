@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include "model/claims.h"
+#include "model/drain.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "solver/verify_tables.h"
@@ -60,7 +61,7 @@ int column(const Table& table) {
 }
 
 /// What a chain takes in each table, and while one table takes the place of another.
-void print_chains(const AppSpec& app, const Tables& tables) {
+void print_chains(const AppSpec& app, const Platform& platform, const Tables& tables) {
   std::size_t width = 5;
   for (const ChainSpec& chain : app.chains) width = std::max(width, chain.name.size());
   std::printf("\n  %-*s %12s", static_cast<int>(width), "chain", "deadline");
@@ -91,6 +92,15 @@ void print_chains(const AppSpec& app, const Tables& tables) {
   for (const Handover& h : tables.handovers) why.insert(h.not_claimed.begin(), h.not_claimed.end());
   for (const std::string& line : why)
     std::printf("  Not known what a change costs: %s.\n", line.c_str());
+  std::int64_t drains = 0;
+  for (const Handover& h : tables.handovers)
+    drains = std::max(drains, drain_us(tables, h.from, h.to, app, platform));
+  if (drains > 0)
+    std::printf(
+        "  Such a change drains: nothing is released for %s at most, and then the next table's "
+        "worst "
+        "cases hold.\n",
+        ms(drains).c_str());
   for (const std::string& missed : missed_chains(app, tables))
     std::printf("  MISSES THE DEADLINE: %s\n", missed.c_str());
 }
@@ -186,7 +196,7 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
   }
   std::printf("  Memory of all instances: %s.\n",
               memory_text(memory_of_instances(tables, app, platform), instances(tables)).c_str());
-  if (by_keys) print_chains(app, tables);
+  if (by_keys) print_chains(app, platform, tables);
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
                 ms(*longest->worst_case_us).c_str(),

@@ -254,16 +254,16 @@ TEST(Run, AMessageMayAskForAScenario) {
 
 /// The same of an app of version 2: keys that nothing here is late for.
 RunOptions with_tables_of_keys(std::int64_t settles_us,
-                               std::optional<std::int64_t> of_change_us = 40'000'000) {
-  constexpr std::int64_t kWcetUs = 1'000'000;
+                               std::optional<std::int64_t> of_change_us = 40'000'000,
+                               std::int64_t wcet_us = 1'000'000, bool loses_a_cpu = false) {
   AppSpec spec;
   spec.version = 2;
   spec.name = "fixture";
-  spec.xnodes = {{"m1", "M", {{"gpu", kWcetUs}}}, {"m2", "M", {{"cpu", kWcetUs}}}};
+  spec.xnodes = {{"m1", "M", {{"gpu", wcet_us}}}, {"m2", "M", {{"cpu", wcet_us}}}};
   spec.xnodes[0].sources = {0};
   spec.edges = {{0, 1}};
   spec.sources = {{"camera", {2000}}};
-  spec.sources[0].jitter_us = 900'000;
+  spec.sources[0].jitter_us = 900 * wcet_us / 1000;
   spec.modules = {{"M", 1, false}};
   spec.clocks = {{"main", 0}};
   spec.chains = {{"all", 0, 1, {}, 1}};
@@ -274,11 +274,11 @@ RunOptions with_tables_of_keys(std::int64_t settles_us,
   tables.platform = platform.name;
   tables.scenarios = {{.name = "city"},
                       {.name = "highway", .wcet_scale_pct = {{"cpu", 200}, {"gpu", 200}}}};
+  if (loses_a_cpu) tables.scenarios[1].lost = {"cpu0"};
   tables.tables = {{"near", {2, 0}, {0, 0}, {}}, {"far", {2, 1}, {0, 0}, {}}};
   for (const int times : {1, 2}) {
     KeyPolicy keys;
-    keys.placements = {{2, {times * kWcetUs + 1'000'000}},
-                       {times - 1, {2 * times * kWcetUs + 1'000'000}}};
+    keys.placements = {{2, {(times + 1) * wcet_us}}, {times - 1, {(2 * times + 1) * wcet_us}}};
     keys.chains = {{"all", 30'000'000, 0, false}};
     tables.keys.push_back(keys);
     tables.serves.push_back({times - 1, 0, 0, {1000}});
@@ -347,7 +347,8 @@ TEST(Run, TablesOfKeysDoNotChangeBeforeTheChangeBeforeHasSettled) {
       << report->json();
 }
 
-TEST(Run, AfterAChangeThatClaimsNothingNothingIsClaimed) {
+/// Of a change of which nothing is claimed: sensors leave out what comes while it drains.
+TEST(Run, AChangeThatClaimsNothingDrainsAndThenTheNextTableIsClaimed) {
   Fixture f("a");
   std::thread driver;
   f.app.on_start([&] {
@@ -358,7 +359,30 @@ TEST(Run, AfterAChangeThatClaimsNothingNothingIsClaimed) {
       f.app.stop();
     });
   });
-  const auto report = f.app.run(with_tables_of_keys(0, std::nullopt));
+  const auto report = f.app.run(with_tables_of_keys(0, std::nullopt, 1000));
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->lost("M"), 0u) << report->json();
+  EXPECT_EQ(report->json().find("have no worst case"), std::string::npos) << report->json();
+  const Json told = Json::parse(report->json()).value();
+  ASSERT_EQ(told.at("num_switches").integer(), 1) << report->json();
+  // Two stages of 2000 us at their longer WCETs, and what may be under way of 2 ms releases.
+  EXPECT_GT(*told.at("switches").elements()[0].at("held_us").integer(), 4000) << report->json();
+}
+
+/// What hangs on an XPU that is lost may never end: nobody waits for it.
+TEST(Run, AChangeInWhichAnXpuIsLostDoesNotDrainAndNothingIsClaimedAfterIt) {
+  Fixture f("a");
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      while (f.cpu != 0) std::this_thread::sleep_for(1ms);
+      ASSERT_TRUE(f.app.request_mode("highway"));
+      while (f.cpu != 1) std::this_thread::sleep_for(1ms);
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(with_tables_of_keys(0, std::nullopt, 1'000'000, true));
   driver.join();
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_NE(report->json().find("1 changes of the table have no worst case"), std::string::npos)

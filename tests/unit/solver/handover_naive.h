@@ -251,6 +251,14 @@ class HandoverRun {
           last = std::max(last, j.end - choice_.change);
     return last;
   }
+  /// From S to the end of p's last job.
+  [[nodiscard]] Time drained() const {
+    Time last = 0;
+    for (const auto& of : jobs_)
+      for (const Job& j : of)
+        if (j.table == 0 && j.end >= 0) last = std::max(last, j.end - choice_.change);
+    return last;
+  }
   /// When a job first had its XPU for longer than p's envelope (and the preemption it paid) allows,
   /// or -1. The choice of t was within the rules iff this is not before t.
   [[nodiscard]] Time passed() const { return passed_; }
@@ -514,6 +522,7 @@ struct HandoverFound {
   std::vector<double> fullest;  ///< [chain] largest seen / claimed; 0: nothing is claimed
   double worst = 0;             ///< of all chains
   double settles_us = 0;        ///< longest from S to the end of a job past its key
+  double drained_us = 0;        ///< longest from S to the end of p's jobs
   double latest_us = -1e18;     ///< a job after its key
   bool deadlock = false, illegal = false;  ///< the last: a bug of the simulator's
   std::int64_t plays = 0, jobs = 0;
@@ -586,6 +595,7 @@ class HandoverClimb {
       return static_cast<double>(t) / static_cast<double>(world_.scale);
     };
     found_.settles_us = std::max(found_.settles_us, us(run.settles()));
+    found_.drained_us = std::max(found_.drained_us, us(run.drained()));
     found_.latest_us = std::max(found_.latest_us, us(run.latest()));
     const Time judged = judge_ ? judge_(run, choice) : 0;
     Time sought = 0;

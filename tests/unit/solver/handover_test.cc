@@ -6,12 +6,14 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "base/index.h"
 #include "model/components.h"
+#include "model/drain.h"
 #include "model/periodic.h"
 #include "model/tables.h"
 #include "solver/steady/certificate.h"
@@ -350,6 +352,30 @@ TEST(SteadyHandover, OfClocksThatShareAnXpuNothingFollows) {
       EXPECT_FALSE(bounds.us[c] || proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
   }
   EXPECT_GE(sharing, 10);
+}
+
+/// Clocks may share XPUs, and some of these do not preempt.
+TEST(SteadyHandover, NoPlayDrainsForLongerThanIsSaid) {
+  int played = 0;
+  double fullest = 0;
+  for (const auto& [clocks, ppm] :
+       {std::pair(Clocks::kOne, 0), std::pair(Clocks::kShared, 0), std::pair(Clocks::kShared, 100),
+        std::pair(Clocks::kShared, 20'000)})
+    for (std::uint64_t seed = 4000; seed < 4040; ++seed) {
+      const auto two = two_policies(seed, clocks, ppm);
+      if (!two) continue;
+      const auto said =
+          static_cast<double>(drain_us(two->both, two->platform, two->from, two->notice_us));
+      HandoverAttack attack{two->notice_us, 150, seed};
+      attack.drains = true;
+      HandoverClimb climb(naive_of(*two), own_worst_cases(*two), attack);
+      const HandoverFound found = climb.run();
+      EXPECT_LE(found.drained_us, said) << "seed " << seed << ", " << ppm << " ppm";
+      fullest = std::max(fullest, found.drained_us / said);
+      ++played;
+    }
+  EXPECT_GE(played, 100);
+  EXPECT_GE(fullest, 0.5);
 }
 
 }  // namespace
