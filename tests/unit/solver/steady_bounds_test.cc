@@ -313,8 +313,12 @@ TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
       placed.hold_us = {best.w.hold[at(p->slot[at(i)])]};
       policy.placements.push_back(placed);
     }
+    Windows w = best.w;
+    w.a.resize(at(p->num_slots));
+    for (std::size_t d = 0; d < p->domains.size(); ++d)
+      derive_ready(*p, static_cast<int>(d), best.xpu, w);
     for (const Chain& chain : p->chains)
-      policy.chains.push_back({chain.name, worst_case(*p, chain, best.w), 0, false});
+      policy.chains.push_back({chain.name, worst_case(*p, chain, w), 0, false});
     for (int k = 0; k < 40; ++k) {
       Disturbance how;
       how.seed = static_cast<std::uint64_t>(k) + 1;

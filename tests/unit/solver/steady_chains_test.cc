@@ -17,6 +17,7 @@
 #include "solver/steady/solve.h"
 
 #include "problem_random.h"
+#include "steady_random.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -243,6 +244,43 @@ TEST(SteadyChains, OfRandomGroupsCheckDerivesNoMore) {
     EXPECT_TRUE(report) << seed << ": " << report.error().to_string();
   }
   EXPECT_GE(4 * solved, 3 * apps);
+}
+
+/// Where a clock drifts, several readers may be the first that knows: each counts by what is known of it alone.
+TEST(SteadyChains, WhereClocksDriftCheckDerivesNoLess) {
+  int chains = 0;
+  for (const int ppm : {2'000, 20'000, 100'000})
+    for (std::uint64_t seed = 1; seed <= 150; ++seed) {
+      solver::test::Dice dice(seed);
+      SteadyShape shape;
+      shape.clocks = 2;
+      shape.max_components = 6;
+      shape.least_period = 16;
+      shape.ppm = ppm;
+      Platform platform = random_steady_platform(dice);
+      for (const char* more : {"1", "2", "3"}) {
+        platform.xpus.push_back({std::string("cpu8") + more, "cpu", true, 0});
+        platform.xpus.push_back({std::string("gpu8") + more, "gpu", true, 0});
+      }
+      AppSpec app = random_steady_app(dice, shape);
+      for (SourceSpec& source : app.sources) source.clock = dice.chance(80) ? 1 : 0;
+      stretch(app, platform, 1000);
+      Options options;
+      options.max_evaluations = 60;
+      options.seed = seed;
+      const auto answer = solve(app, platform, options);
+      ASSERT_TRUE(answer) << seed;
+      if (answer->outcome != Outcome::kPolicy) continue;
+      const auto report = check(app, platform, answer->policy);
+      ASSERT_TRUE(report) << seed << ": " << report.error().to_string();
+      for (const ChainProof& chain : report->chains) {
+        // A microsecond of rounding at each sample, and one at the end.
+        EXPECT_LE(chain.claimed_us, chain.derived_us + 5)
+            << ppm << " ppm, " << seed << ", " << chain.name;
+        ++chains;
+      }
+    }
+  EXPECT_GT(chains, 200);
 }
 
 }  // namespace
