@@ -227,6 +227,39 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
   return demand_fits(patterns, blocking, tightest);
 }
 
+bool certify_xpu(const Problem& p, int m, const std::vector<int>& xpu, bool shared,
+                 const Windows& w, const Windows& u, const Charges& charges, std::string* why) {
+  const std::string name = "XPU '" + p.xpu_name[at(m)] + "': ";
+  if (shared)
+    return shared_fits(p, m, xpu, w, u, charges) ||
+           refuse(why, name + "the demand is above what it can serve");
+  int domain = -1;
+  Tick deepest = 0;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (xpu[at(i)] != m) continue;
+    domain = p.domain_of(i);
+    for (int n = 0; n < p.jobs[at(i)]; ++n) deepest = std::max(deepest, w.d[at(p.slot[at(i)] + n)]);
+  }
+  if (domain < 0) return true;
+  const std::int64_t ppm = p.domains[at(domain)].ppm;
+  const Tick pad = drift_pad(deepest, ppm);
+  Alone alone(p, domain);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (xpu[at(i)] != m) continue;
+    const Component& c = p.components[at(p.component_of[at(i)])];
+    for (int n = 0; n < c.jobs; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      const Tick cost = charges.preempts[s] != 0 ? p.preempt[at(m)] : 0;
+      const Tick work = in_fast_time(p.wcet(i, m) + cost, ppm);
+      const Tick slack = in_fast_time(charges.blocked_by[s], ppm) + pad;
+      const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
+      alone.add(release + w.a[s], release + w.d[s], work, slack, i);
+    }
+  }
+  std::string cause;
+  return alone.fits(&cause) || refuse(why, name + cause);
+}
+
 bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why,
              const Until& until) {
   w.a.resize(at(p.num_slots));
@@ -241,38 +274,7 @@ bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::str
   const std::vector<char> shared = shared_xpus(p, xpu);
   for (int m = 0; m < p.num_xpus; ++m) {
     if (until.over()) return refuse(why, "the time is over");
-    const std::string name = "XPU '" + p.xpu_name[at(m)] + "': ";
-    if (shared[at(m)] != 0) {
-      if (!shared_fits(p, m, xpu, w, u, charges))
-        return refuse(why, name + "the demand is above what it can serve");
-      continue;
-    }
-    int domain = -1;
-    Tick deepest = 0;
-    for (int i = 0; i < p.num_xnodes; ++i) {
-      if (xpu[at(i)] != m) continue;
-      domain = p.domain_of(i);
-      for (int n = 0; n < p.jobs[at(i)]; ++n)
-        deepest = std::max(deepest, w.d[at(p.slot[at(i)] + n)]);
-    }
-    if (domain < 0) continue;
-    const std::int64_t ppm = p.domains[at(domain)].ppm;
-    const Tick pad = drift_pad(deepest, ppm);
-    Alone alone(p, domain);
-    for (int i = 0; i < p.num_xnodes; ++i) {
-      if (xpu[at(i)] != m) continue;
-      const Component& c = p.components[at(p.component_of[at(i)])];
-      for (int n = 0; n < c.jobs; ++n) {
-        const std::size_t s = at(p.slot[at(i)] + n);
-        const Tick cost = charges.preempts[s] != 0 ? p.preempt[at(m)] : 0;
-        const Tick work = in_fast_time(p.wcet(i, m) + cost, ppm);
-        const Tick slack = in_fast_time(charges.blocked_by[s], ppm) + pad;
-        const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
-        alone.add(release + w.a[s], release + w.d[s], work, slack, i);
-      }
-    }
-    std::string cause;
-    if (!alone.fits(&cause)) return refuse(why, name + cause);
+    if (!certify_xpu(p, m, xpu, shared[at(m)] != 0, w, u, charges, why)) return false;
   }
   return true;
 }

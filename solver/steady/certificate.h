@@ -30,6 +30,11 @@ namespace xauto::solver::steady {
                                const Windows& w, const Windows& u, const Charges& charges,
                                Tightest* tightest = nullptr);
 
+/// One XPU, `shared` (shared_xpus) or not. `w`, `u` and its `charges` are derived.
+[[nodiscard]] bool certify_xpu(const Problem& problem, int xpu, const std::vector<int>& xpus,
+                               bool shared, const Windows& w, const Windows& u,
+                               const Charges& charges, std::string* why = nullptr);
+
 /// d and hold of `w` are given (by slot), the rest is derived. False, with `why` (may be null): an
 /// XPU and what is wrong, or that the time is over.
 [[nodiscard]] bool certify(const Problem& problem, const std::vector<int>& xpu, Windows& w,

@@ -80,6 +80,8 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   rule_.delay.resize(at(p_.num_xnodes));
   rule_.cost.resize(at(p_.num_xpus));
   rule_.window.resize(at(p_.num_xnodes));
+  rule_.key.resize(at(p_.num_slots));
+  rule_.hold.resize(at(p_.num_slots));
 }
 
 double Evaluator::overload(const Decision& decision) const {
@@ -174,12 +176,13 @@ void Evaluator::find_changes(const Decision& decision, const Figures& out) {
   changed_.assign(p_.domains.size(), 1);
   if (base_ == nullptr) return;
   was_shared_ = shared_xpus(p_, base_->xpu);  // as_before reads it in any case
-  if (base_figures_->w.d.empty() || !base_figures_->simulated) return;
+  if (base_figures_->w.d.empty() || !base_figures_->simulated || decision.given != base_->given)
+    return;
   std::fill(changed_.begin(), changed_.end(), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const std::size_t x = at(i), m = at(decision.xpu[x]);
     if (decision.xpu[x] != base_->xpu[x] || decision.hold[x] != base_->hold[x] ||
-        shared_[m] != was_shared_[m] ||
+        decision.held[x] != base_->held[x] || shared_[m] != was_shared_[m] ||
         (shared_[m] != 0
              ? decision.window[x] != base_->window[x]
              : decision.key[x] != base_->key[x] || decision.polite[x] != base_->polite[x] ||
@@ -220,7 +223,7 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
     for (int i = 0; i < p_.num_xnodes; ++i) {
       const std::size_t m = at(decision.xpu[at(i)]);
       const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0 ||
-                         p_.preemptive[m] == 0 || p_.preempt[m] > 0;
+                         decision.held[at(i)] != 0 || p_.preemptive[m] == 0 || p_.preempt[m] > 0;
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
         const std::size_t s = at(p_.slot[at(i)] + n);
         out.w.hold[s] = holds ? out.schedule.start[s] / p_.scale * p_.scale : 0;
@@ -254,10 +257,18 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
   else
     out.pad.assign(at(p_.num_xpus), 0);
   rule_.xpu = decision.xpu;
-  rule_.hold = decision.hold;
   rule_.polite = decision.polite;
-  rule_.key_by_slot = keys != nullptr;
-  rule_.key = keys != nullptr ? keys->w.d : decision.key;
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+      const std::size_t s = at(p_.slot[at(i)] + n);
+      rule_.key[s] = decision.key[at(i)];
+      rule_.hold[s] = decision.hold[at(i)];
+      if (decision.given == nullptr) continue;
+      rule_.key[s] -= decision.given->sooner[s];
+      if (decision.held[at(i)] != 0)
+        rule_.hold[s] = std::max(rule_.hold[s], decision.given->hold[s]);
+    }
+  if (keys != nullptr) rule_.key = keys->w.d;
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int m = decision.xpu[at(i)];
     const std::int64_t ppm = p_.domains[at(p_.domain_of(i))].ppm;
@@ -340,6 +351,17 @@ void Evaluator::evaluate(const Decision& decision, double most, Figures& out, co
   base_ = base;
   base_figures_ = base_figures;
   out.valid = simulate(decision, nullptr, out, until);
+}
+
+void Evaluator::take(const Decision& decision, Figures& out, const Until& until) {
+  ++evaluations_;
+  out.simulated = false;
+  out.valid = certify(p_, decision.xpu, out.w, nullptr, until) && set_costs(out, until);
+  if (!out.valid) out.cost = kInvalidCost;
+  out.schedule.start = out.w.e;
+  out.schedule.finish = out.w.d;
+  out.pad.assign(at(p_.num_xpus), 0);
+  out.missing.clear();
 }
 
 bool Evaluator::settle(const Decision& decision, Figures& out, const Until& until) {

@@ -8,6 +8,7 @@
 // not possible, jobs are held until their planned start: then only those pay that the plan charges.
 #pragma once
 
+#include <memory>
 #include <vector>
 
 #include "solver/steady/certificate.h"
@@ -17,12 +18,20 @@
 
 namespace xauto::solver::steady {
 
+/// What a policy says of single activations, that the search began with.
+struct Given {
+  std::vector<Tick> sooner;  ///< [slot] than the latest key of its XNode
+  std::vector<Tick> hold;    ///< [slot] 0: none
+};
+
 struct Decision {
-  std::vector<int> xpu;      ///< [xnode]
-  std::vector<Tick> key;     ///< [xnode] after the nominal release: who goes first
-  std::vector<Tick> hold;    ///< [xnode] whole microseconds; 0: none
-  std::vector<Tick> window;  ///< [xnode] on a shared XPU: d - a, whole microseconds
-  std::vector<char> polite;  ///< [xnode] in the plan it interrupts nobody
+  std::vector<int> xpu;                ///< [xnode]
+  std::vector<Tick> key;               ///< [xnode] after the nominal release: who goes first
+  std::vector<Tick> hold;              ///< [xnode] whole microseconds; 0: none
+  std::shared_ptr<const Given> given;  ///< may be null
+  std::vector<char> held;              ///< [xnode] as it is given, too
+  std::vector<Tick> window;            ///< [xnode] on a shared XPU: d - a, whole microseconds
+  std::vector<char> polite;            ///< [xnode] in the plan it interrupts nobody
 };
 
 struct Figures {
@@ -57,6 +66,8 @@ class Evaluator {
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// [chain] XNodes that its end waits for, on any of its ways.
   [[nodiscard]] const std::vector<std::vector<int>>& chain_xnodes() const { return chain_xnodes_; }
+  /// Keys and holds as `out.w` has them, for what they are: nothing is simulated. Valid if they are certified.
+  void take(const Decision& decision, Figures& out, const Until& until = {});
   /// Simulates again with the keys of `out`. True if that was better, and `out` changed.
   bool settle(const Decision& decision, Figures& out, const Until& until = {});
 

@@ -87,7 +87,9 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
   prepared_ = 0;
   useless_ = false;
   for (const int i : d.xnodes) {
-    const bool timer = p_.root[at(i)] != 0 || rule.hold[at(i)] > 0;
+    const auto first = rule.hold.begin() + p_.slot[at(i)];
+    const bool timer = p_.root[at(i)] != 0 || std::any_of(first, first + p_.jobs[at(i)],
+                                                          [](Tick hold) { return hold > 0; });
     const auto waits = static_cast<std::int16_t>(
         std::min<std::size_t>(p_.pred[at(i)].size() + (timer ? 1 : 0), kMostWaits));
     std::fill_n(first_waits_.begin() + p_.slot[at(i)] - base_, p_.jobs[at(i)], waits);
@@ -129,9 +131,10 @@ bool Exhibitor::release(const Rule& rule, int xnode) {
   const std::int64_t n = next_[at(xnode)]++;
   if (n >= per_round * rounds_) return false;
   if (n / per_round >= prepared_) prepare_rounds(rule, n / per_round);
-  const std::int64_t job = n / per_round * jobs_ + p_.slot[at(xnode)] - base_ + n % per_round;
+  const std::int64_t slot = p_.slot[at(xnode)] + n % per_round;
+  const std::int64_t job = n / per_round * jobs_ + slot - base_;
   const Tick ready =
-      std::max(p_.root[at(xnode)] != 0 ? p_.root_ready[at(xnode)] : 0, rule.hold[at(xnode)]);
+      std::max(p_.root[at(xnode)] != 0 ? p_.root_ready[at(xnode)] : 0, rule.hold[ix(slot)]);
   push(nominal(job) + ready, 4 * job + 2);
   return true;
 }
@@ -147,7 +150,7 @@ void Exhibitor::one_less(const Rule& rule, std::int64_t job, Tick now) {
   }
   const int m = rule.xpu[at(i)];
   Xpu& x = xpus_[at(m)];
-  const Tick key = nominal(job) + (rule.key_by_slot ? rule.key[ix(slot)] : rule.key[at(i)]);
+  const Tick key = nominal(job) + rule.key[ix(slot)];
   x.ready.push_back({key, job});
   std::push_heap(x.ready.begin(), x.ready.end(), std::greater<>());
   dirty_.push_back(m);

@@ -27,9 +27,8 @@ struct Rule {
   std::vector<Tick> delay;   ///< [xnode] from its end on its XPU until it is called done
   std::vector<Tick> cost;    ///< [xpu] of a start while another one is interrupted
   std::vector<char> polite;  ///< [xnode] it interrupts nobody
-  std::vector<Tick> hold;    ///< [xnode] earliest start after the nominal release; 0: none
-  std::vector<Tick> key;     ///< [xnode] after the nominal release; or by slot
-  bool key_by_slot = false;
+  std::vector<Tick> hold;    ///< [slot] earliest start after the nominal release; 0: none
+  std::vector<Tick> key;     ///< [slot] after the nominal release
   /// [xnode] an end later than this is of no use: it ends the simulation. Empty: none.
   std::vector<Tick> limit;
 };

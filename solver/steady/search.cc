@@ -122,6 +122,54 @@ bool Search::over() const {
          (limits_.max_evaluations > 0 && evaluator_.evaluations() >= limits_.max_evaluations);
 }
 
+bool Search::fits(const KeyPolicy& hint) const {
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const KeyPlacement& placed = hint.placements[at(i)];
+    const std::size_t size = placed.key_us.size();
+    const auto is_time = [&](std::int64_t us) { return us >= 0 && us <= kMostTicks / p_.scale; };
+    if (!std::ranges::binary_search(p_.may_run[at(i)], placed.xpu) || size == 0 ||
+        at(p_.jobs[at(i)]) % size != 0 ||
+        (!placed.hold_us.empty() && placed.hold_us.size() != size) ||
+        !std::ranges::all_of(placed.key_us, is_time) ||
+        !std::ranges::all_of(placed.hold_us, is_time))
+      return false;
+  }
+  return std::ranges::all_of(p_.groups, [&](const std::vector<int>& group) {
+    return std::ranges::all_of(group, [&](int i) {
+      return hint.placements[at(i)].xpu == hint.placements[at(group.front())].xpu;
+    });
+  });
+}
+
+/// First the hint as it is, if it is certified. Then what the rule makes of its keys, with its arrays and holds
+/// and without.
+void Search::begin_with(const KeyPolicy& hint,
+                        const std::function<void(const Candidate&)>& on_better) {
+  Candidate c;
+  c.decision = from_hint(hint);
+  if (fits(hint)) {
+    Candidate whole = c;
+    Windows& w = whole.figures.w;
+    w = keys_and_holds(p_, hint);
+    auto given = std::make_shared<Given>();
+    given->hold = w.hold;
+    given->sooner.resize(at(p_.num_slots));
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+        const std::size_t s = at(p_.slot[at(i)] + n);
+        given->sooner[s] = whole.decision.key[at(i)] - w.d[s];
+        if (w.hold[s] > 0) whole.decision.held[at(i)] = 1;
+      }
+    whole.decision.given = std::move(given);
+    evaluator_.take(whole.decision, whole.figures, limits_.finish_until);
+    if (whole.figures.valid) keep(whole, on_better);
+    evaluate(whole);
+    take(whole, on_better);
+  }
+  evaluate(c);
+  take(c, on_better);
+}
+
 Decision Search::from_hint(const KeyPolicy& hint) {
   Decision d = constructed(balancing_weights(p_), kGreeds[0], 0, true);
   const std::vector<int> built = d.xpu;
@@ -213,6 +261,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   Decision d;
   d.xpu.assign(at(p_.num_xnodes), -1);
   d.hold.assign(at(p_.num_xnodes), 0);
+  d.held.assign(at(p_.num_xnodes), 0);
   d.polite.assign(at(p_.num_xnodes), charge ? 0 : 1);
   std::vector<Tick> least(at(p_.num_xnodes), kNoTick);
   for (int i = 0; i < p_.num_xnodes; ++i)
@@ -308,6 +357,16 @@ void Search::spread_windows(Decision& d, double part) const {
   }
 }
 
+/// The best so far, certified.
+void Search::keep(const Candidate& candidate,
+                  const std::function<void(const Candidate&)>& on_better) {
+  best_ = candidate;
+  on_better(best_);
+  proven_ = true;
+  for (std::size_t c = 0; c < p_.chains.size(); ++c)
+    proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
+}
+
 /// Keeps it if it is the best so far, and, if it is valid, certified: the simulation is believed by
 /// nobody. Makes it invalid otherwise.
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
@@ -315,11 +374,7 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
     for (int k = 0; k < kMostSettled; ++k)
       if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.finish_until)) break;
     if (certify(p_, candidate.decision.xpu, candidate.figures.w, nullptr, limits_.finish_until)) {
-      best_ = candidate;
-      on_better(best_);
-      proven_ = true;
-      for (std::size_t c = 0; c < p_.chains.size(); ++c)
-        proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
+      keep(candidate, on_better);
       return;
     }
     candidate.figures.valid = false;
@@ -334,8 +389,7 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   const std::vector<std::int64_t> weights = balancing_weights(p_);
   std::vector<std::int64_t> flat(weights.size(),
                                  kWeights / static_cast<std::int64_t>(weights.size()));
-  best_.figures = {};
-  best_.figures.cost = kNoCandidate;
+  bool any = best_.figures.valid;
   std::vector<double> parts{1};
   if (p_.domains.size() > 1 || p_.any_urgent)
     parts.assign(std::begin(kWindowParts), std::end(kWindowParts));
@@ -343,14 +397,15 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
     for (const int rule : {0, 1, 2})
       for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
         for (const bool charge : {true, false}) {
-          if (over() && best_.figures.cost < kNoCandidate) return;
+          if (over() && any) return;
           Candidate c;
           c.decision = constructed(*prices, greed, rule, charge);
           for (const double part : parts) {
-            if (over() && best_.figures.cost < kNoCandidate) return;
+            if (over() && any) return;
             spread_windows(c.decision, part);
             evaluate(c);
             take(c, on_better);
+            any = true;
           }
         }
 }
@@ -434,6 +489,10 @@ bool Search::mutate(const Candidate& from, Decision& next) {
         p_.group_of[at(j)] >= 0)
       return false;
     std::swap(next.xpu[at(i)], next.xpu[at(j)]);
+    return true;
+  }
+  if (what < kHoldBelow && next.held[at(i)] != 0) {
+    next.held[at(i)] = 0;
     return true;
   }
   if (what < kHoldBelow && !readers_.empty()) {
@@ -529,10 +588,7 @@ void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
   home_.clear();
   if (hint != nullptr) {
     for (const KeyPlacement& placed : hint->placements) home_.push_back(placed.xpu);
-    Candidate c;
-    c.decision = from_hint(*hint);
-    evaluate(c);
-    take(c, on_better);
+    begin_with(*hint, on_better);
   }
   still_ = keep_ == Keep::kMost;
   if (keep_ == Keep::kNothing) construct(on_better);

@@ -45,7 +45,10 @@ class Search {
   [[nodiscard]] std::int64_t evaluations() const { return evaluator_.evaluations(); }
 
  private:
-  /// A decision from a policy's placements, its keys in ticks. Whoever has none is constructed.
+  /// Whether the policy says for every job where it runs, by when, and in a way that fits this app.
+  [[nodiscard]] bool fits(const KeyPolicy& hint) const;
+  void begin_with(const KeyPolicy& hint, const std::function<void(const Candidate&)>& on_better);
+  /// A decision from a policy's placements, its latest keys in ticks. Whoever has none is constructed.
   [[nodiscard]] Decision from_hint(const KeyPolicy& hint);
   [[nodiscard]] bool over() const;
   void evaluate(Candidate& candidate);
@@ -62,6 +65,7 @@ class Search {
   void balance(std::vector<int>& xpu, int steps);
   void anneal(std::int64_t steps, double hot,
               const std::function<void(const Candidate&)>& on_better);
+  void keep(const Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] bool mutate(const Candidate& from, Decision& next);
   void put(Decision& d, int xnode, int xpu) const;

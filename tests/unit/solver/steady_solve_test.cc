@@ -233,6 +233,46 @@ TEST(SteadySolve, AHintIsKeptAndProvenAgain) {
   EXPECT_FALSE(solve(app, platform, options));
 }
 
+/// Whatever the search would make of it: with its holds, and with a key for each activation.
+TEST(SteadySolve, NoAnswerIsWorseThanItsHint) {
+  int asked = 0, by_activation = 0, held = 0;
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    solver::test::Dice dice(seed);
+    const SteadyShape shape = seed % 2 == 0 ? two_clocks(100) : SteadyShape{.max_components = 3};
+    const AppSpec app = random_steady_app(dice, shape);
+    const Platform platform = random_steady_platform(dice);
+    const Result<Answer> before = solve(app, platform, brief(1500));
+    ASSERT_TRUE(before) << seed;
+    if (before->outcome != Outcome::kPolicy) continue;
+    ++asked;
+    for (const KeyPlacement& placed : before->policy.placements) {
+      by_activation += placed.key_us.size() > 1;
+      held += !placed.hold_us.empty();
+    }
+    for (const std::int64_t evaluations : {1, 30}) {
+      Options options = brief(evaluations);
+      options.seed = 7;
+      options.hint = &before->policy;
+      const Result<Answer> after = solve(app, platform, options);
+      ASSERT_TRUE(after && after->outcome == Outcome::kPolicy) << seed;
+      EXPECT_LE(after->objective, before->objective) << seed;
+      EXPECT_TRUE(check(app, platform, after->policy)) << seed;
+    }
+    // Of one that is not certified nothing is believed.
+    KeyPolicy wrong = before->policy;
+    wrong.placements.front().key_us.front() = 0;
+    Options options = brief(30);
+    options.hint = &wrong;
+    const Result<Answer> after = solve(app, platform, options);
+    ASSERT_TRUE(after) << seed;
+    if (after->outcome == Outcome::kPolicy)
+      EXPECT_TRUE(check(app, platform, after->policy)) << seed;
+  }
+  EXPECT_GT(asked, 40);
+  EXPECT_GE(by_activation, 10);
+  EXPECT_GT(held, 40);
+}
+
 std::vector<int> elsewhere(const KeyPolicy& a, const KeyPolicy& b) {
   std::vector<int> xnodes;
   for (std::size_t i = 0; i < a.placements.size(); ++i)
