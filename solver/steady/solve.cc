@@ -2,9 +2,12 @@
 #include "solver/steady/solve.h"
 
 #include <algorithm>
+#include <memory>
 
 #include "base/mutex.h"
 #include "solver/steady/chains.h"
+#include "solver/steady/exhibit.h"
+#include "solver/steady/holds.h"
 #include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
 #include "solver/steady/unpackable.h"
@@ -21,6 +24,8 @@ bool all_equal(const std::vector<std::int64_t>& values) {
 constexpr double kForFirstBounds = 0.1;  ///< part of the limit, at most
 /// For finer bounds at the end: a part of the limit, and at most so many seconds.
 constexpr double kForFinerBounds = 0.08, kForFinerBoundsS = 1;
+/// Before them, for holds that are not needed; so many seconds at least, even of a limit of 0.
+constexpr double kForHolds = 0.05, kForHoldsS = 0.5, kForHoldsAtLeastS = 0.05;
 /// Beyond the limit, to finish what was begun: a part of it. At least the seconds: even a limit of
 /// 0 has an answer where the app is small.
 constexpr double kToFinish = 0.1, kToFinishS = 0.2;
@@ -33,11 +38,27 @@ std::int64_t us_above(const Problem& p, Tick t) {
   return t <= 0 ? 0 : p.up_to_us(t) / p.scale;
 }
 
-KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
+/// Every job at its WCET, by its key, as the holds that are left allow. False: none that repeats was found.
+bool predict(const Problem& p, const std::vector<int>& xpu, const Windows& w, Schedule& schedule,
+             const Until& until) {
+  Rule rule;
+  rule.xpu = xpu;
+  rule.key = w.d;
+  rule.hold = w.hold;
+  rule.cost = p.preempt;
+  for (int i = 0; i < p.num_xnodes; ++i)
+    rule.work.push_back(std::max(Tick{1}, p.wcet(i, xpu[at(i)])));
+  rule.window.assign(at(p.num_xnodes), kNoTick);
+  rule.delay.assign(at(p.num_xnodes), 0);
+  rule.polite.assign(at(p.num_xnodes), 0);
+  schedule.start.resize(at(p.num_slots));
+  schedule.finish.resize(at(p.num_slots));
+  return Exhibitor(p, std::make_shared<Exhibitor::Scratch>()).run(0, rule, schedule, until);
+}
+
+KeyPlacement placement(const Problem& p, const Candidate& c, bool predicted, int i) {
   KeyPlacement placed;
   placed.xpu = c.decision.xpu[at(i)];
-  // Predicted times are those of one schedule; domains that share XPUs have none in common.
-  const bool predicted = p.domains.size() == 1 && !p.any_urgent;
   bool held = false;
   for (int n = 0; n < p.jobs[at(i)]; ++n) {
     const std::size_t s = at(p.slot[at(i)] + n);
@@ -57,13 +78,13 @@ KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
 }
 
 KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem& p,
-                    const Candidate& c, const std::vector<std::int64_t>& bounds) {
+                    const Candidate& c, bool predicted, const std::vector<std::int64_t>& bounds) {
   KeyPolicy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.platform = platform.name;
   policy.method = "auto";
-  for (int i = 0; i < p.num_xnodes; ++i) policy.placements.push_back(placement(p, c, i));
+  for (int i = 0; i < p.num_xnodes; ++i) policy.placements.push_back(placement(p, c, predicted, i));
   for (std::size_t k = 0; k < p.chains.size(); ++k) {
     const std::int64_t worst = us_above(p, c.figures.chain[k]);
     policy.chains.push_back({p.chains[k].name, worst, bounds[k], worst == bounds[k]});
@@ -153,7 +174,8 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     for_search.deadline = std::max(
         for_bounds.deadline,
         began + std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
-                    limit - std::min(kForFinerBounds * limit, kForFinerBoundsS))));
+                    limit - std::min(kForFinerBounds * limit, kForFinerBoundsS) -
+                    std::min(kForHolds * limit, kForHoldsS))));
 
   Until to_finish = until;
   if (limit < kNoLimitS)
@@ -197,6 +219,15 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   for (; started < threads && options.max_evaluations > 0; ++started) work(started);
   pool.join();
   for (const std::int64_t e : evaluations) answer.evaluations += e;
+  const Lock lock(shared.mutex);
+  if (shared.any) {
+    Until for_holds{std::max(for_search.deadline, std::chrono::steady_clock::now())};
+    if (limit < kNoLimitS)
+      for_holds.deadline +=
+          std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
+              std::clamp(kForHolds * limit, kForHoldsAtLeastS, kForHoldsS)));
+    drop_holds(p, shared.best.decision.xpu, shared.best.figures.w, for_holds);
+  }
   // What is left of the time makes the bounds better.
   std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
   for (std::size_t c = 0; c < finer.size(); ++c) {
@@ -205,7 +236,6 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   }
   answer.objective_bound = objective_bound(p, finer, kMostCasesOfAll, for_finer);
   if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
-  const Lock lock(shared.mutex);
   if (!shared.any) {
     if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
       answer.outcome = Outcome::kUnsustainable;
@@ -214,7 +244,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     return answer;
   }
   answer.outcome = Outcome::kPolicy;
-  answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);
+  // Predicted times are those of one schedule; domains that share XPUs have none in common.
+  const bool predicted = p.domains.size() == 1 && !p.any_urgent &&
+                         predict(p, shared.best.decision.xpu, shared.best.figures.w,
+                                 shared.best.figures.schedule, to_finish);
+  answer.policy = policy_of(app, platform, p, shared.best, predicted, answer.lower_bound_us);
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
   answer.objective = objective_of(app, chain_us);
