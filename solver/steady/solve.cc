@@ -2,6 +2,7 @@
 #include "solver/steady/solve.h"
 
 #include <algorithm>
+#include <array>
 #include <memory>
 
 #include "base/mutex.h"
@@ -121,26 +122,36 @@ Status check_hint(const KeyPolicy& hint, Keep keep, const AppSpec& app, const Pr
   return {};
 }
 
-/// The best of all threads.
+/// The best of all threads, and of each: which of equal ones came first does not matter.
 struct Shared {
   Mutex mutex;
-  Candidate best XAUTO_GUARDED_BY(mutex);
-  bool any XAUTO_GUARDED_BY(mutex) = false;
-  int thread XAUTO_GUARDED_BY(mutex) = 0;  ///< whose it is
+  Incumbents best XAUTO_GUARDED_BY(mutex);
+  std::vector<Incumbents> of_thread XAUTO_GUARDED_BY(mutex);
   double first_ms XAUTO_GUARDED_BY(mutex) = 0;
 };
 
+/// First what limits the others.
+void add_all(const std::vector<Incumbents>& from, Incumbents& to) {
+  for (const Incumbents& best : from) to.add(best.least());
+  for (const Incumbents& best : from) to.add(best.best());
+}
+
 }  // namespace
 
-double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
-  double late = 0, sum = 0;
+Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
+  const bool deadlines = app.has_deadlines();
+  std::int64_t longest = 1;
+  for (const ChainSpec& chain : app.chains)
+    longest = std::max(longest, chain.deadline_us.value_or(1));
+  Totals totals;
   for (std::size_t c = 0; c < app.chains.size() && c < chain_us.size(); ++c) {
-    const auto us = static_cast<double>(chain_us[c]);
-    if (app.chains[c].deadline_us)
-      late = std::max(late, us / static_cast<double>(*app.chains[c].deadline_us));
-    sum += static_cast<double>(app.chains[c].weight) * us;
+    const ChainSpec& chain = app.chains[c];
+    const double part =
+        static_cast<double>(chain_us[c]) / static_cast<double>(chain.deadline_us.value_or(longest));
+    if (!deadlines || chain.deadline_us) totals.largest = std::max(totals.largest, part);
+    totals.sum += static_cast<double>(chain.weight) * part;
   }
-  return late > 0 ? late : sum;
+  return totals;
 }
 
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
@@ -177,37 +188,46 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
                     limit - std::min(kForFinerBounds * limit, kForFinerBoundsS) -
                     std::min(kForHolds * limit, kForHoldsS))));
 
+  Until for_least = until;
+  if (limit < kNoLimitS) {
+    const SteadyTime from = std::min(for_search.deadline, std::chrono::steady_clock::now());
+    for_least.deadline = from + std::chrono::duration_cast<SteadyTime::duration>(
+                                    kForLeast * (for_search.deadline - from));
+  }
+
   Until to_finish = until;
   if (limit < kNoLimitS)
     to_finish.deadline += std::chrono::duration_cast<SteadyTime::duration>(
         std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
 
   const int threads = std::clamp(options.threads, 1, kMostThreads);
-  Shared shared;
+  Shared shared{{}, Incumbents(p, reference, options.aim), {}};
+  {
+    const Lock lock(shared.mutex);
+    shared.of_thread.assign(at(threads), shared.best);
+  }
   std::vector<std::int64_t> evaluations(at(threads), 0);
   const auto work = [&](int index) {
-    Search search(p, reference, options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
-    SearchLimits limits{for_search, to_finish, 0, {}};
+    Search search(p, reference, options.aim,
+                  options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
+    SearchLimits limits{for_search, to_finish, 0, for_least, {}};
     if (options.max_evaluations > 0)
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
     else if (threads > 1)  // what depends on who is faster is for those who set no budget
-      limits.exchange = [&](Candidate& best) {
+      limits.exchange = [&](Incumbents& best) {
         const Lock lock(shared.mutex);
-        if (shared.any && shared.best.figures.better_than(best.figures)) best = shared.best;
+        add_all(shared.of_thread, best);
       };
     search.run(limits, options.hint, options.keep, [&](const Candidate& c) {
       const Lock lock(shared.mutex);
-      // Of equal answers that of the lowest thread, whoever came first.
-      if (shared.any && !c.figures.better_than(shared.best.figures) &&
-          (shared.best.figures.better_than(c.figures) || index >= shared.thread))
-        return;
-      shared.thread = index;
-      if (!shared.any) shared.first_ms = elapsed() * 1e3;
-      shared.any = true;
-      shared.best = c;
-      if (options.on_progress)
-        options.on_progress({elapsed(), c.figures.late,
-                             c.figures.sum / static_cast<double>(p.scale), search.evaluations()});
+      if (!shared.best.any()) shared.first_ms = elapsed() * 1e3;
+      shared.of_thread[at(index)] = search.found();
+      const bool better = shared.best.improved_by(c.figures);
+      shared.best.add(c);
+      if (better && options.on_progress)
+        options.on_progress({elapsed(), p.deadlines ? c.figures.largest : 0,
+                             c.figures.sum / (p.deadlines ? 1 : static_cast<double>(p.scale)),
+                             search.evaluations()});
     });
     evaluations[at(index)] = search.evaluations();
   };
@@ -220,13 +240,16 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   pool.join();
   for (const std::int64_t e : evaluations) answer.evaluations += e;
   const Lock lock(shared.mutex);
-  if (shared.any) {
+  Incumbents found(p, reference, options.aim);
+  add_all(shared.of_thread, found);
+  Candidate best = found.best();
+  if (found.any()) {
     Until for_holds{std::max(for_search.deadline, std::chrono::steady_clock::now())};
     if (limit < kNoLimitS)
       for_holds.deadline +=
           std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
               std::clamp(kForHolds * limit, kForHoldsAtLeastS, kForHoldsS)));
-    drop_holds(p, shared.best.decision.xpu, shared.best.figures.w, for_holds);
+    drop_holds(p, best.decision.xpu, best.figures.w, for_holds);
   }
   // What is left of the time makes the bounds better.
   std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
@@ -234,9 +257,13 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     finer[c] = std::max(finer[c], reference[c]);
     answer.lower_bound_us[c] = us_above(p, finer[c]);
   }
-  answer.objective_bound = objective_bound(p, finer, kMostCasesOfAll, for_finer);
-  if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
-  if (!shared.any) {
+  const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);
+  // First what was asked for.
+  for (const bool sum :
+       options.aim == Aim::kLargest ? std::array{false, true} : std::array{true, false})
+    (sum ? answer.bounds.sum : answer.bounds.largest) =
+        objective_bound(p, finer, sum, kMostCasesOfAll, for_finer) / unit;
+  if (!found.any()) {
     if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
       answer.outcome = Outcome::kUnsustainable;
       answer.overload = std::move(*proof);
@@ -245,13 +272,14 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   }
   answer.outcome = Outcome::kPolicy;
   // Predicted times are those of one schedule; domains that share XPUs have none in common.
-  const bool predicted = p.domains.size() == 1 && !p.any_urgent &&
-                         predict(p, shared.best.decision.xpu, shared.best.figures.w,
-                                 shared.best.figures.schedule, to_finish);
-  answer.policy = policy_of(app, platform, p, shared.best, predicted, answer.lower_bound_us);
+  const bool predicted =
+      p.domains.size() == 1 && !p.any_urgent &&
+      predict(p, best.decision.xpu, best.figures.w, best.figures.schedule, to_finish);
+  answer.policy = policy_of(app, platform, p, best, predicted, answer.lower_bound_us);
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
-  answer.objective = objective_of(app, chain_us);
+  answer.totals = totals_of(app, chain_us);
+  answer.least_largest = std::min(answer.totals.largest, found.least().figures.largest / unit);
   answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
   answer.first_answer_ms = shared.first_ms;
   if (options.hint != nullptr)
