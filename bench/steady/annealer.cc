@@ -436,6 +436,11 @@ Annealed anneal(const AppSpec& app, const Platform& platform, double time_limit_
   return Annealer(app, platform, seed).go(time_limit_s);
 }
 
+double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
+  const solver::steady::Totals totals = solver::steady::totals_of(app, chain_us);
+  return app.has_deadlines() ? totals.largest : totals.sum;
+}
+
 double objective_of(const AppSpec& app, const KeyPolicy& policy) {
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);

@@ -25,7 +25,8 @@ struct Annealed {
 [[nodiscard]] Annealed anneal(const AppSpec& app, const Platform& platform, double time_limit_s,
                               std::uint64_t seed);
 
-using solver::steady::objective_of;
+/// What it minimises: the largest worst case / deadline, where a chain has a deadline; else the weighted sum, in us.
+[[nodiscard]] double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us);
 [[nodiscard]] double objective_of(const AppSpec& app, const KeyPolicy& policy);
 
 }  // namespace xauto::bench

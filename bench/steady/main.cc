@@ -58,6 +58,8 @@ Json to_json(const Row& row) {
             {"evaluations", m.evaluations}};
   if (m.outcome == "policy") {
     j["objective"] = m.objective;
+    j["largest"] = {{"value", m.totals.largest}, {"lower_bound", m.bounds.largest}};
+    j["sum"] = {{"value", m.totals.sum}, {"lower_bound", m.bounds.sum}};
     j["bound"] = m.bound;
     j["misses_deadline"] = m.misses;
     j["check_ms"] = m.check_ms;
@@ -271,6 +273,11 @@ int main(int argc, char** argv) {
   xauto::cli::Program program(
       "Policies of keys for generated apps, beside what else one could do.");
   program.option("--time-limit-s", asked.time_limit_s, "of the solver, per case").shown();
+  std::string objective = "largest";
+  program
+      .option("--objective", objective, "of the solver, where chains have deadlines; else the sum")
+      .one_of({"largest", "mix", "sum"})
+      .shown();
   program.option("--threads", asked.threads, "of the solver").range(1, 64).shown();
   program.option("--seed", asked.seed, "of the solver, of the annealer and of the plays").shown();
   program.option("--annealer-s", asked.annealer_s,
@@ -287,6 +294,8 @@ int main(int argc, char** argv) {
   program.option("--json", flags.json, "write what was measured here");
   if (const auto status = program.parse(argc, argv)) return *status;
   asked.plays.seed = asked.seed;
+  using xauto::solver::steady::Aim;
+  asked.aim = objective == "mix" ? Aim::kMix : objective == "sum" ? Aim::kSum : Aim::kLargest;
   const auto done = xauto::bench::run(flags);
   if (done) return *done;
   std::fprintf(stderr, "error: %s\n", done.error().to_string().c_str());

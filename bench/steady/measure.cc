@@ -31,6 +31,7 @@ constexpr std::int64_t kMostToTell = 1'000'000;
 /// What the solver's process says at its end.
 std::string solve_in_words(const SteadyCase& made, const Asked& asked) {
   steady::Options options;
+  options.aim = made.app.has_deadlines() ? asked.aim : steady::Aim::kSum;
   options.time_limit_s = asked.time_limit_s;
   options.threads = asked.threads;
   options.seed = asked.seed;
@@ -45,14 +46,20 @@ std::string solve_in_words(const SteadyCase& made, const Asked& asked) {
   }
   said["first_ms"] = answer->first_answer_ms;
   said["evaluations"] = answer->evaluations;
-  said["bounds"] = answer->lower_bound_us;
-  said["objective_bound"] = answer->objective_bound;
+  said["largest_bound"] = answer->bounds.largest;
+  said["sum_bound"] = answer->bounds.sum;
   said["outcome"] = answer->outcome == steady::Outcome::kPolicy          ? "policy"
                     : answer->outcome == steady::Outcome::kUnsustainable ? "overload"
                                                                          : "unknown";
   if (answer->outcome == steady::Outcome::kPolicy)
     said["policy"] = to_json(answer->policy, made.app, made.platform);
   return said.dump();
+}
+
+std::vector<std::int64_t> worst_cases(const KeyPolicy& policy) {
+  std::vector<std::int64_t> chain_us;
+  for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);
+  return chain_us;
 }
 
 struct Child {
@@ -141,6 +148,10 @@ Result<Measured> measure(const SteadyCase& made, const Asked& asked) {
   if (said.has("error") || !said.has("outcome"))
     return fail(ErrorCode::kInternal, said.at("error").text().value_or("it said nothing"),
                 "solver of " + made.name);
+  const auto asked_of = [&](const steady::Totals& totals) {
+    const bool largest = app.has_deadlines() && asked.aim == steady::Aim::kLargest;
+    return largest ? totals.largest : totals.sum;
+  };
   Measured m;
   m.outcome = said.at("outcome").text().value_or("");
   m.solve_s = said.at("solve_s").number().value_or(0);
@@ -155,18 +166,18 @@ Result<Measured> measure(const SteadyCase& made, const Asked& asked) {
   const double annealer_s = asked.annealer_s < 0 ? asked.time_limit_s : asked.annealer_s;
   if (annealer_s > 0 && m.outcome != "overload") {
     const Annealed other = anneal(app, made.platform, annealer_s, asked.seed);
-    if (other.policy) m.annealed = objective_of(app, *other.policy);
+    if (other.policy) m.annealed = asked_of(steady::totals_of(app, worst_cases(*other.policy)));
     m.annealer_first_ms = other.first_ms;
     m.annealer_evaluations = other.evaluations;
   }
   if (m.outcome != "policy") return m;
-  std::vector<std::int64_t> bounds;
-  for (const Json& bound : said.at("bounds").elements())
-    bounds.push_back(bound.integer().value_or(0));
   XAUTO_ASSIGN(const KeyPolicy ours, parse_key_policy(said.at("policy").text().value_or(""),
                                                       made.name, app, made.platform));
-  m.objective = objective_of(app, ours);
-  m.bound = std::max(objective_of(app, bounds), said.at("objective_bound").number().value_or(0));
+  m.totals = steady::totals_of(app, worst_cases(ours));
+  m.bounds = {said.at("largest_bound").number().value_or(0),
+              said.at("sum_bound").number().value_or(0)};
+  m.objective = asked_of(m.totals);
+  m.bound = asked_of(m.bounds);
   std::vector<double> claimed;
   for (const ChainClaim& claim : ours.chains)
     claimed.push_back(static_cast<double>(claim.worst_case_us));

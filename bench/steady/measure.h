@@ -10,12 +10,15 @@
 
 #include <xauto/result.h>
 
+#include "solver/steady/solve.h"
+
 #include "bench/steady/generate.h"
 #include "bench/steady/rivals.h"
 
 namespace xauto::bench {
 
 struct Asked {
+  solver::steady::Aim aim = solver::steady::Aim::kLargest;
   double time_limit_s = 10;
   int threads = 2;
   std::uint64_t seed = 1;
@@ -41,9 +44,10 @@ struct Measured {
   std::int64_t evaluations = 0;
   std::int64_t jobs =
       0;  ///< per hyperperiod, all clocks together; 0: it does not fit, or never ends
-  double objective = 0;  ///< what is minimised, see annealer.h
-  double bound = 0;      ///< the same of the lower bounds
-  bool misses = false;   ///< some deadline, in the worst case
+  solver::steady::Totals totals, bounds;  ///< of the policy; of no policy less
+  double objective = 0;                   ///< of both what was asked for; of a mix the sum
+  double bound = 0;                       ///< the same of the lower bounds
+  bool misses = false;                    ///< some deadline, in the worst case
   double check_ms = 0;
   std::optional<double> annealed;  ///< its objective; none: it found nothing
   double annealer_first_ms = 0;

@@ -19,8 +19,11 @@ constexpr std::size_t kStepsAtOnce = 1 << 16;
 /// Overload that is rounding.
 constexpr double kRounding = 1e-9;
 
-// The annealer's costs. Where there are deadlines, the sum counts so much beside the lateness.
-constexpr double kSumBesideLate = 0.02;
+// The annealer's costs. Where the largest is minimised, the sum counts so much beside it.
+constexpr double kSumBesideLargest = 0.02;
+/// Where the sum is, what a largest above its limit costs at least, and what for each time the limit: else the
+/// annealer would not find its way back. Chosen.
+constexpr double kAboveLimit = 0.02, kAboveLimitTimes = 5;
 /// In kInvalidCost, so that each kind of invalid costs more than the one before, whatever is added
 /// for how invalid it is: a shared XPU does not serve its windows, no schedule that repeats was
 /// found, an XPU is overloaded.
@@ -29,6 +32,11 @@ constexpr double kUnserved = 1, kEndless = 2, kOverloaded = 3;
 constexpr double kLeastMissing = 0.01;
 /// Added for a backlog that grows, at most, as a part of kEndless.
 constexpr double kGrowthShare = 0.25;
+
+/// Whether it is among those of which the largest counts.
+bool is_counted(const Problem& p, const Chain& chain) {
+  return !p.deadlines || chain.deadline != kNoTick;
+}
 
 /// Releases that a way is followed from.
 std::size_t steps_of(const Problem& p, const Path& path) {
@@ -39,13 +47,16 @@ std::size_t steps_of(const Problem& p, const Path& path) {
 
 }  // namespace
 
-bool Figures::better_than(const Figures& other) const {
-  if (valid != other.valid) return valid;
-  if (!valid) return cost < other.cost;
-  if ((late <= 1) != (other.late <= 1)) return late <= 1;
-  if (moved != other.moved) return moved < other.moved;
-  if (late != other.late) return late < other.late;
-  return sum < other.sum;
+bool Goal::better(const Figures& a, const Figures& b) const {
+  if (a.valid != b.valid) return a.valid;
+  if (!a.valid) return a.cost < b.cost;
+  if (in_time && (a.largest <= 1) != (b.largest <= 1)) return a.largest <= 1;
+  if (a.moved != b.moved) return a.moved < b.moved;
+  const bool within = a.largest <= most();
+  if (sum && within != (b.largest <= most())) return within;
+  if (sum && within && a.sum != b.sum) return a.sum < b.sum;
+  if (a.largest != b.largest) return a.largest < b.largest;
+  return a.sum < b.sum;
 }
 
 Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
@@ -53,10 +64,15 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   const auto scratch = std::make_shared<Exhibitor::Scratch>();
   for (std::size_t d = 0; d < p_.domains.size(); ++d) exhibitors_.emplace_back(p_, scratch);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
-    deadlines_ = deadlines_ || p_.chains[c].deadline != kNoTick;
-    reference_sum_ += static_cast<double>(p_.chains[c].weight) * static_cast<double>(reference_[c]);
+    const Chain& chain = p_.chains[c];
+    const double part = static_cast<double>(reference_[c]) / static_cast<double>(chain.by);
+    reference_sum_ += static_cast<double>(chain.weight) * part;
+    if (is_counted(p_, chain)) reference_largest_ = std::max(reference_largest_, part);
   }
-  reference_sum_ = std::max(reference_sum_, 1.0);
+  // Of no chain, or of weights of 0.
+  if (reference_sum_ <= 0) reference_sum_ = 1;
+  // A part of a deadline is near 1 by itself.
+  if (reference_largest_ <= 0 || p_.deadlines) reference_largest_ = 1;
   for (const Chain& chain : p_.chains) {
     std::vector<char> in(at(p_.num_xnodes), 0);
     const auto add = [&](int to) {
@@ -292,7 +308,7 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
 /// False: it is over before all ways are known.
 bool Evaluator::set_costs(Figures& out, const Until& until) const {
   out.chain.assign(p_.chains.size(), 0);
-  out.late = out.sum = 0;
+  out.largest = out.sum = 0;
   std::size_t steps = 0;
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     const Chain& chain = p_.chains[c];
@@ -305,14 +321,19 @@ bool Evaluator::set_costs(Figures& out, const Until& until) const {
       out.cost = kEndless * kInvalidCost;
       return false;
     }
-    const auto worst = static_cast<double>(out.chain[c]);
-    out.sum += static_cast<double>(chain.weight) * worst;
-    if (chain.deadline != kNoTick)
-      out.late = std::max(out.late, worst / static_cast<double>(std::max(chain.deadline, Tick{1})));
+    const double part = static_cast<double>(out.chain[c]) / static_cast<double>(chain.by);
+    out.sum += static_cast<double>(chain.weight) * part;
+    if (is_counted(p_, chain)) out.largest = std::max(out.largest, part);
   }
-  out.cost =
-      deadlines_ ? out.late + kSumBesideLate * out.sum / reference_sum_ : out.sum / reference_sum_;
+  out.cost = cost_of(out);
   return true;
+}
+
+double Evaluator::cost_of(const Figures& figures) const {
+  const double sum = figures.sum / reference_sum_;
+  if (!goal_.sum) return figures.largest / reference_largest_ + kSumBesideLargest * sum;
+  if (figures.largest <= goal_.most()) return sum;
+  return sum + kAboveLimit + kAboveLimitTimes * (figures.largest / goal_.most() - 1);
 }
 
 /// A chain takes at least as long as the jobs of its ways, from their release. By how much a
@@ -326,15 +347,12 @@ void Evaluator::set_limits(double most) {
   rule_.limit.assign(at(p_.num_xnodes), kMostKey);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     const Chain& chain = p_.chains[c];
-    const auto own = static_cast<double>(chain.weight) * static_cast<double>(reference_[c]);
-    double longest = 0;
-    if (chain.deadline != kNoTick)
-      longest = most * static_cast<double>(chain.deadline);
-    else if (!deadlines_ && chain.weight > 0)
-      longest =
-          (most * reference_sum_ - (reference_sum_ - own)) / static_cast<double>(chain.weight);
-    else
-      continue;
+    const auto by = static_cast<double>(chain.by), weight = static_cast<double>(chain.weight);
+    const double own = weight * static_cast<double>(reference_[c]) / by;
+    double longest = static_cast<double>(kMostTicks);
+    if (!goal_.sum && is_counted(p_, chain)) longest = most * reference_largest_ * by;
+    if (goal_.sum && chain.weight > 0)
+      longest = (most * reference_sum_ - (reference_sum_ - own)) / weight * by;
     if (longest >= static_cast<double>(kMostTicks)) continue;
     for (const int i : chain_xnodes_[c]) {
       Tick& limit = rule_.limit[at(i)];
@@ -373,7 +391,7 @@ bool Evaluator::settle(const Decision& decision, Figures& out, const Until& unti
   Figures next;
   next.valid = simulate(decision, &out, next, until);
   next.moved = out.moved;
-  if (!next.valid || !next.better_than(out)) return false;
+  if (!next.valid || !goal_.better(next, out)) return false;
   out = std::move(next);
   return true;
 }

@@ -8,6 +8,8 @@
 // not possible, jobs are held until their planned start: then only those pay that the plan charges.
 #pragma once
 
+#include <algorithm>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -42,22 +44,37 @@ struct Figures {
   std::vector<Tick> pad;        ///< [xpu] what drift takes of it
   std::vector<double> missing;  ///< [xpu] shared: how much time it is short of; 0: it serves all
   std::vector<Tick> chain;      ///< [chain] worst case
-  double late = 0;              ///< largest worst case / deadline, 0 without deadlines
-  double sum = 0;               ///< weighted sum of the worst cases
-  /// For the annealer: both as one number, about 1 for a good answer; above kInvalidCost what makes
-  /// it invalid.
+  /// Worst case / Chain::by: the largest of those with a deadline, if there are any; the weighted sum of all.
+  double largest = 0, sum = 0;
+  /// For the annealer: what is minimised as one number, about 1 for a good answer; above kInvalidCost what
+  /// makes it invalid.
   double cost = 0;
   int moved = 0;  ///< XNodes that are not where a hint has them; 0 where that does not matter
-
-  /// Valid; in time; fewest moved; then the objective.
-  [[nodiscard]] bool better_than(const Figures& other) const;
 };
 inline constexpr double kInvalidCost = 1e4;
 
+/// What is minimised for now: the largest alone; or the sum, where the largest is not above `limit`.
+struct Goal {
+  bool in_time =
+      false;  ///< first of all no deadline is missed: there are some, and it is not proven impossible
+  bool sum = false;
+  double limit = std::numeric_limits<double>::infinity();
+
+  /// Of `largest`, with the deadlines.
+  [[nodiscard]] double most() const { return in_time ? std::min(limit, 1.0) : limit; }
+  /// Valid; in time; fewest moved; then what is minimised.
+  [[nodiscard]] bool better(const Figures& a, const Figures& b) const;
+};
+
 class Evaluator {
  public:
-  /// `reference`: [chain] what the sum is measured in (lower bounds).
+  /// `reference`: [chain] what costs are measured in (lower bounds).
   Evaluator(const Problem& problem, const std::vector<Tick>& reference);
+
+  /// Costs are of this from now on.
+  void set_goal(const Goal& goal) { goal_ = goal; }
+  /// Of what is valid.
+  [[nodiscard]] double cost_of(const Figures& figures) const;
 
   /// `most`: what costs more may come back invalid, sooner. `base` (may be null): a decision and its
   /// figures, of which is kept what does not change.
@@ -84,8 +101,8 @@ class Evaluator {
 
   const Problem& p_;
   std::vector<Tick> reference_;
-  double reference_sum_ = 0;
-  bool deadlines_ = false;
+  double reference_sum_ = 0, reference_largest_ = 0;
+  Goal goal_;
   std::vector<Exhibitor> exhibitors_;  ///< one per domain
   Rule rule_;
   std::vector<std::vector<int>> chain_xnodes_;  ///< [chain] those that its end waits for

@@ -224,6 +224,7 @@ class KeyTablesSearch {
         const bool told = options_.stop != nullptr && options_.stop->load();
         if (progress.late <= 1 || told) enough.store(true);
       };
+    solving.aim = app_.has_deadlines() ? Aim::kLargest : Aim::kSum;  // as value_of()
     solving.time_limit_s = seconds;
     solving.threads = threads;
     solving.seed = seed;

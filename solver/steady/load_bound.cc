@@ -618,6 +618,20 @@ double down(double value) {
   return value <= 0 ? 0 : std::nextafter(value, 0.0);
 }
 
+double divided_bound(const Problem& p, const std::vector<Term>& terms, bool largest, int most_cases,
+                     const Until& until) {
+  Tick longest = 1;
+  for (const Term& term : terms) longest = std::max(longest, term.by);
+  // A weight of longest / by, rounded down: no part is less than it says.
+  Objective objective{terms, {}, largest};
+  for (const Term& term : terms)
+    objective.weight.push_back(static_cast<std::int64_t>(std::min<Int>(
+        (Int{largest ? 1 : term.weight} * longest << kShift) / term.by, kMostWeight)));
+  return down(down(static_cast<double>(bound_of_cases(p, objective, most_cases, until)) /
+                   static_cast<double>(kOne)) /
+              static_cast<double>(longest));
+}
+
 }  // namespace
 
 Tick load_bound(const Problem& p, const std::vector<LoadWay>& ways, int most_cases,
@@ -629,27 +643,12 @@ Tick load_bound(const Problem& p, const std::vector<LoadWay>& ways, int most_cas
 
 double sum_bound(const Problem& p, const std::vector<Term>& terms, int most_cases,
                  const Until& until) {
-  Objective sum{terms, {}};
-  for (const Term& term : terms) {
-    if (term.by > kMostVisits >> kShift) return 0;
-    sum.weight.push_back(term.by * kOne);
-  }
-  return down(static_cast<double>(bound_of_cases(p, sum, most_cases, until)) /
-              static_cast<double>(kOne));
+  return divided_bound(p, terms, false, most_cases, until);
 }
 
 double largest_bound(const Problem& p, const std::vector<Term>& terms, int most_cases,
                      const Until& until) {
-  std::int64_t longest = 1;
-  for (const Term& term : terms) longest = std::max(longest, term.by);
-  // A weight of longest / deadline, rounded down: no ratio is less than it says.
-  Objective largest{terms, {}, true};
-  for (const Term& term : terms)
-    largest.weight.push_back(static_cast<std::int64_t>(
-        std::min<Int>((Int{longest} << kShift) / std::max<std::int64_t>(1, term.by), kMostWeight)));
-  return down(down(static_cast<double>(bound_of_cases(p, largest, most_cases, until)) /
-                   static_cast<double>(kOne)) /
-              static_cast<double>(longest));
+  return divided_bound(p, terms, true, most_cases, until);
 }
 
 }  // namespace xauto::solver::steady

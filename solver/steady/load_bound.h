@@ -41,18 +41,18 @@ struct LoadWay {
 /// A chain of an objective.
 struct Term {
   std::vector<LoadWay> ways;
-  Tick known = 0;  ///< a bound of its own
-  /// Of a sum: its weight. Of the largest: its deadline, by which its worst case is divided.
-  std::int64_t by = 1;
+  Tick known = 0;           ///< a bound of its own
+  std::int64_t weight = 1;  ///< of a sum
+  Tick by = 1;              ///< by which its worst case is divided
 };
 
 /// Of one chain, in ticks. `most_cases`: how many cases are parted at most.
 [[nodiscard]] Tick load_bound(const Problem& problem, const std::vector<LoadWay>& ways,
                               int most_cases, const Until& until = {});
-/// Of the weighted sum of the terms, in ticks, rounded down. 0: nothing follows.
+/// Of the weighted sum of worst case / by, rounded down. 0: nothing follows.
 [[nodiscard]] double sum_bound(const Problem& problem, const std::vector<Term>& terms,
                                int most_cases, const Until& until = {});
-/// Of the largest worst case / deadline, rounded down. 0: nothing follows.
+/// Of the largest worst case / by, rounded down. 0: nothing follows.
 [[nodiscard]] double largest_bound(const Problem& problem, const std::vector<Term>& terms,
                                    int most_cases, const Until& until = {});
 

@@ -274,23 +274,19 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
   return bounds;
 }
 
-double objective_bound(const Problem& p, const std::vector<Tick>& bounds, int most_cases,
+double objective_bound(const Problem& p, const std::vector<Tick>& bounds, bool sum, int most_cases,
                        const Until& until) {
-  const bool deadlines =
-      std::ranges::any_of(p.chains, [](const Chain& chain) { return chain.deadline != kNoTick; });
   std::vector<Term> terms;
-  double largest = 0, sum = 0;
+  double known = 0;
   for (std::size_t c = 0; c < p.chains.size(); ++c) {
     const Chain& chain = p.chains[c];
-    if (deadlines && chain.deadline == kNoTick) continue;
-    const std::int64_t by = deadlines ? std::max(Tick{1}, chain.deadline) : chain.weight;
-    const auto bound = static_cast<double>(bounds[c]);
-    largest = std::max(largest, bound / static_cast<double>(by));
-    sum += bound * static_cast<double>(by);
-    terms.push_back({ways_of(p, chain), bounds[c], by});
+    if (!sum && p.deadlines && chain.deadline == kNoTick) continue;
+    const double part = static_cast<double>(bounds[c]) / static_cast<double>(chain.by);
+    known = sum ? known + static_cast<double>(chain.weight) * part : std::max(known, part);
+    terms.push_back({ways_of(p, chain), bounds[c], sum ? chain.weight : 1, chain.by});
   }
-  if (deadlines) return std::max(largest, largest_bound(p, terms, most_cases, until));
-  return std::max(sum, sum_bound(p, terms, most_cases, until));
+  return std::max(known, sum ? sum_bound(p, terms, most_cases, until)
+                             : largest_bound(p, terms, most_cases, until));
 }
 
 }  // namespace xauto::solver::steady

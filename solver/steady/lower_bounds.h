@@ -26,10 +26,9 @@ namespace xauto::solver::steady {
                                              const Platform& platform, const Objectives& wishes,
                                              int most_cases = 0, const Until& until = {});
 
-/// Of the objective, given the bounds of its chains: where chains have deadlines, of the largest
-/// worst case / deadline; else of the weighted sum of the worst cases, in ticks. One assignment has
-/// to serve them all.
+/// Of all chains' worst cases / Chain::by, given the bounds of each: of the weighted sum, or of the largest of
+/// those with a deadline, if there are any. One assignment has to serve them all.
 [[nodiscard]] double objective_bound(const Problem& problem, const std::vector<Tick>& bounds,
-                                     int most_cases = 0, const Until& until = {});
+                                     bool sum, int most_cases = 0, const Until& until = {});
 
 }  // namespace xauto::solver::steady

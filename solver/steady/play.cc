@@ -86,6 +86,31 @@ class Clock {
   std::vector<std::int64_t> rates_;
 };
 
+/// Reaction times of one chain. Of more than so many every second is left out, then every second of the rest.
+class Seen {
+ public:
+  void add(double us) {
+    if (count_++ % every_ != 0) return;
+    us_.push_back(us);
+    if (us_.size() < kMost) return;
+    for (std::size_t k = 0; k < kMost / 2; ++k) us_[k] = us_[2 * k];
+    us_.resize(kMost / 2);
+    every_ *= 2;
+  }
+  /// 0: none was seen.
+  [[nodiscard]] double quantile(double part) {
+    if (us_.empty()) return 0;
+    const auto k = static_cast<std::ptrdiff_t>(part * static_cast<double>(us_.size() - 1));
+    std::nth_element(us_.begin(), us_.begin() + k, us_.end());
+    return us_[static_cast<std::size_t>(k)];
+  }
+
+ private:
+  static constexpr std::size_t kMost = 1 << 18;
+  std::int64_t count_ = 0, every_ = 1;
+  std::vector<double> us_;
+};
+
 /// One way from a chain's source to its XNode.
 struct Path {
   std::size_t chain = 0;
@@ -126,7 +151,10 @@ class Play {
   Status find_paths() {
     for (std::size_t k = 0; k < w_.app.chains.size(); ++k) {
       const ChainSpec& chain = w_.app.chains[k];
-      report_.chains.push_back({chain.name, 0, 0, w_.policy.chains[k].worst_case_us});
+      PlayedChain& played = report_.chains.emplace_back();
+      played.name = chain.name;
+      played.claimed_us = w_.policy.chains[k].worst_case_us;
+      seen_.emplace_back();
       report_.chains.back().claimed_urgent_us =
           w_.policy.chains[k].urgent_worst_case_us.value_or(0);
       for (std::size_t c = 0; c < w_.components.size(); ++c) {
@@ -172,6 +200,10 @@ class Play {
       if (d.busy) d.used += std::max<Atoms>(0, std::min(end, now_) - d.since);
       report_.busy.push_back(now_ > 0 ? static_cast<double>(d.used) / static_cast<double>(now_)
                                       : 0);
+    }
+    for (std::size_t k = 0; k < seen_.size(); ++k) {
+      report_.chains[k].median_us = seen_[k].quantile(0.5);
+      report_.chains[k].p99_us = seen_[k].quantile(0.99);
     }
     report_.unfinished = unfinished_;
     return std::move(report_);
@@ -385,6 +417,7 @@ class Play {
         };
         chain.releases += knows - path.last;
         chain.longest_us = std::max(chain.longest_us, since(path.last + 1));
+        for (std::int64_t k = path.last + 1; k <= knows; ++k) seen_[path.chain].add(since(k));
         if (chain.claimed_urgent_us > 0) {
           const std::vector<std::int64_t>& marked = urgent_[at(path.first)];
           auto k = std::ranges::upper_bound(marked, path.last);
@@ -455,6 +488,7 @@ class Play {
   Random random_;
   std::vector<Clock> clocks_;
   std::vector<Path> paths_;
+  std::vector<Seen> seen_;  ///< [chain]
   std::vector<std::vector<std::pair<std::size_t, std::size_t>>>
       starts_of_;                                  ///< [reader] path, sample
   std::vector<std::vector<std::size_t>> ends_of_;  ///< [XNode] paths

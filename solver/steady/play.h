@@ -44,8 +44,9 @@ struct PlayedXNode {
 
 struct PlayedChain {
   std::string name;
-  std::int64_t releases = 0;  ///< whose latency was seen
-  double longest_us = 0;      ///< reduced reaction time
+  std::int64_t releases = 0;         ///< whose latency was seen
+  double longest_us = 0;             ///< reduced reaction time
+  double median_us = 0, p99_us = 0;  ///< of the same; 0: none was seen
   std::int64_t claimed_us = 0;
   std::int64_t urgent = 0;  ///< of `releases`
   double longest_urgent_us = 0;

@@ -489,8 +489,14 @@ struct Builder {
                     "XNode '" + app.xnodes[at(spec.to)].name + "' hears nothing of source '" +
                         app.sources[at(spec.from)].name + "'",
                     "chain '" + spec.name + "'");
+      p.deadlines = p.deadlines || chain.deadline != kNoTick;
       p.chains.push_back(std::move(chain));
     }
+    Tick longest = 1;
+    for (const Chain& chain : p.chains)
+      if (chain.deadline != kNoTick) longest = std::max(longest, chain.deadline);
+    for (Chain& chain : p.chains)
+      chain.by = chain.deadline != kNoTick ? std::max(Tick{1}, chain.deadline) : longest;
     return {};
   }
 };

@@ -89,6 +89,9 @@ struct Chain {
   int source = -1, to = -1;
   Tick deadline = kNoTick;
   std::int64_t weight = 1;
+  /// What its worst case is measured in: its deadline; where only others have one, the largest of theirs; 1 where
+  /// no chain has one.
+  Tick by = 1;
   std::vector<Path> paths;
   Tick offset = 0;  ///< of the source
 };
@@ -124,6 +127,7 @@ struct Problem {
   std::vector<char> urgent;                  ///< [xnode] hears of its component's urgent source
   bool any_urgent = false;
   std::vector<Chain> chains;
+  bool deadlines = false;    ///< some chain has one
   std::vector<int> part_of;  ///< [xnode] components that order joins are one part
   std::vector<int> place;    ///< [xnode] among the XNodes of its part
   std::vector<std::vector<std::uint64_t>>

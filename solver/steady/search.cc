@@ -111,10 +111,61 @@ std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
 
 }  // namespace
 
-Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed)
-    : p_(problem), reference_(reference), evaluator_(problem, reference), random_(seed) {
+Incumbents::Incumbents(const Problem& p, const std::vector<Tick>& reference, Aim aim)
+    : deadlines_(p.deadlines),
+      sums_(aim != Aim::kLargest),
+      mixes_(aim == Aim::kMix && p.deadlines) {
+  for (std::size_t c = 0; c < p.chains.size(); ++c)
+    if (!p.deadlines || p.chains[c].deadline != kNoTick)
+      bound_ = std::max(bound_, static_cast<double>(p.up_to_us(reference[c])) /
+                                    static_cast<double>(p.chains[c].by));
+  in_time_ = deadlines_ && bound_ <= 1;
+  for (Candidate* none : {&best_, &least_}) none->figures.cost = kNoCandidate;
+}
+
+Goal Incumbents::first_goal() const {
+  return {in_time_, sums_ && !mixes_};
+}
+
+Goal Incumbents::goal() const {
+  if (!mixes_ || !may_sum()) return first_goal();
+  return {in_time_, true, kWithin * least_.figures.largest};
+}
+
+bool Incumbents::improved_by(const Figures& figures) const {
+  return goal().better(figures, best_.figures) ||
+         (mixes_ && first_goal().better(figures, least_.figures));
+}
+
+void Incumbents::add(const Candidate& candidate) {
+  if (!candidate.figures.valid) return;
+  if (mixes_ && first_goal().better(candidate.figures, least_.figures)) least_ = candidate;
+  if (goal().better(candidate.figures, best_.figures)) best_ = candidate;
+}
+
+void Incumbents::add_invalid(const Candidate& candidate) {
+  if (any() || candidate.figures.cost >= best_.figures.cost) return;
+  best_ = candidate;
+  if (mixes_) least_ = candidate;
+}
+
+Search::Search(const Problem& problem, const std::vector<Tick>& reference, Aim aim,
+               std::uint64_t seed)
+    : p_(problem),
+      reference_(reference),
+      evaluator_(problem, reference),
+      random_(seed),
+      found_(problem, reference, aim),
+      goal_(found_.first_goal()) {
+  evaluator_.set_goal(goal_);
   for (int i = 0; i < p_.num_xnodes; ++i)
     if (p_.reads[at(i)] != 0) readers_.push_back(i);
+}
+
+/// As long as the least of the largest is looked for, what is no better there is not certified.
+bool Search::improves(const Figures& figures) const {
+  return figures.valid &&
+         (goal_.sum ? found_.improved_by(figures) : goal_.better(figures, found_.least().figures));
 }
 
 bool Search::over() const {
@@ -357,20 +408,35 @@ void Search::spread_windows(Decision& d, double part) const {
   }
 }
 
-/// The best so far, certified.
+bool Search::may_sum() const {
+  return found_.mixes() && found_.may_sum() &&
+         (found_.least_is_known() || limits_.least_until.over() ||
+          (limits_.max_evaluations > 0 &&
+           static_cast<double>(evaluator_.evaluations()) >=
+               kForLeast * static_cast<double>(limits_.max_evaluations)));
+}
+
+/// The limit falls with the least that was found.
+void Search::set_goal() {
+  if (goal_.sum && found_.mixes()) goal_ = found_.goal();
+  evaluator_.set_goal(goal_);
+}
+
+/// Certified.
 void Search::keep(const Candidate& candidate,
                   const std::function<void(const Candidate&)>& on_better) {
-  best_ = candidate;
-  on_better(best_);
+  found_.add(candidate);
+  set_goal();
+  on_better(candidate);
   proven_ = true;
   for (std::size_t c = 0; c < p_.chains.size(); ++c)
-    proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
+    proven_ = proven_ && candidate.figures.chain[c] <= p_.up_to_us(reference_[c]);
 }
 
 /// Keeps it if it is the best so far, and, if it is valid, certified: the simulation is believed by
 /// nobody. Makes it invalid otherwise.
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
-  if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
+  if (improves(candidate.figures)) {
     for (int k = 0; k < kMostSettled; ++k)
       if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.finish_until)) break;
     if (certify(p_, candidate.decision.xpu, candidate.figures.w, nullptr, limits_.finish_until)) {
@@ -380,16 +446,14 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
     candidate.figures.valid = false;
     candidate.figures.cost = kInvalidCost;
   }
-  if (!best_.figures.valid && !candidate.figures.valid &&
-      candidate.figures.cost < best_.figures.cost)
-    best_ = candidate;
+  if (!candidate.figures.valid) found_.add_invalid(candidate);
 }
 
 void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   const std::vector<std::int64_t> weights = balancing_weights(p_);
   std::vector<std::int64_t> flat(weights.size(),
                                  kWeights / static_cast<std::int64_t>(weights.size()));
-  bool any = best_.figures.valid;
+  bool any = found_.any();
   std::vector<double> parts{1};
   if (p_.domains.size() > 1 || p_.any_urgent)
     parts.assign(std::begin(kWindowParts), std::end(kWindowParts));
@@ -413,19 +477,22 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
 void Search::set_critical(const Candidate& of) {
   critical_.clear();
   if (!of.figures.valid || p_.chains.empty()) return;
+  if (goal_.sum && of.figures.largest <= goal_.most()) {
+    critical_ = evaluator_.chain_xnodes()[random_.below(p_.chains.size())];
+    return;
+  }
   std::size_t worst = 0;
   double most = -1;
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
-    const double figure = p_.chains[c].deadline != kNoTick
-                              ? static_cast<double>(of.figures.chain[c]) /
-                                    static_cast<double>(std::max(p_.chains[c].deadline, Tick{1}))
-                              : 0;
+    const double figure =
+        p_.deadlines && p_.chains[c].deadline == kNoTick
+            ? 0
+            : static_cast<double>(of.figures.chain[c]) / static_cast<double>(p_.chains[c].by);
     if (figure > most) {
       most = figure;
       worst = c;
     }
   }
-  if (most <= 0) worst = random_.below(p_.chains.size());
   critical_ = evaluator_.chain_xnodes()[worst];
 }
 
@@ -547,10 +614,12 @@ bool Search::mutate(const Candidate& from, Decision& next) {
 
 void Search::anneal(std::int64_t steps, double hot,
                     const std::function<void(const Candidate&)>& on_better) {
-  Candidate current = best_, next;
+  Candidate current = front(), next;
+  // It may be of another goal.
+  if (current.figures.valid) current.figures.cost = evaluator_.cost_of(current.figures);
   set_critical(current);
   shared_ = shared_xpus(p_, current.decision.xpu);
-  for (std::int64_t s = 0; s < steps && !over(); ++s) {
+  for (std::int64_t s = 0; s < steps && !over() && (goal_.sum || !may_sum()); ++s) {
     const double heat = hot * std::pow(kCold, static_cast<double>(s) / static_cast<double>(steps));
     next.decision = current.decision;
     bool changed = false;
@@ -567,10 +636,11 @@ void Search::anneal(std::int64_t steps, double hot,
                         &current.figures);
     next.figures.moved = moved_now;
     if (next.figures.cost > allowed) continue;
-    if (next.figures.valid && next.figures.better_than(best_.figures)) {
+    if (improves(next.figures)) {
       take(next, on_better);
       if (!next.figures.valid) continue;
-    } else if (!best_.figures.valid) {
+      next.figures.cost = evaluator_.cost_of(next.figures);
+    } else if (!found_.any()) {
       take(next, on_better);
     }
     std::swap(current, next);
@@ -583,8 +653,6 @@ void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
                  const std::function<void(const Candidate&)>& on_better) {
   limits_ = limits;
   keep_ = hint == nullptr ? Keep::kNothing : keep;
-  best_.figures = {};
-  best_.figures.cost = kNoCandidate;
   home_.clear();
   if (hint != nullptr) {
     for (const KeyPlacement& placed : hint->placements) home_.push_back(placed.xpu);
@@ -595,16 +663,26 @@ void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
   std::int64_t steps = kFirstSteps;
   for (std::size_t cycle = 0; !over(); ++cycle) {
     // Where nobody has to move, nobody does: only a few turns in vain say otherwise.
-    if (still_ && cycle >= kTurnsAtHome && (!best_.figures.valid || best_.figures.late > 1)) {
+    if (!goal_.sum && may_sum()) {
+      goal_.sum = true;
+      set_goal();
+      steps = kFirstSteps;
+      cycle = 0;
+    }
+    if (still_ && cycle >= kTurnsAtHome && !found_.is_in_time()) {
       still_ = false;
       construct(on_better);
     }
     const std::int64_t before = evaluator_.evaluations();
     const std::size_t turn = cycle % std::size(kHot);
     const bool last = turn + 1 == std::size(kHot);
-    if (limits_.exchange && last) limits_.exchange(best_);
+    if (limits_.exchange && last) {
+      limits_.exchange(found_);
+      set_goal();
+    }
     anneal(steps, kHot[turn], on_better);
-    if (evaluator_.evaluations() == before && !still_) return;  // nothing can be changed
+    if (evaluator_.evaluations() == before && !still_ && (goal_.sum || !may_sum()))
+      return;  // nothing can be changed
     if (last) steps *= 2;
   }
 }

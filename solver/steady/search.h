@@ -19,6 +19,50 @@ struct Candidate {
   Figures figures;
 };
 
+/// What is minimised, once no deadline is missed.
+enum class Aim {
+  kMix,  ///< the sum of worst case / deadline, the largest of them not above kWithin times the least found
+  kLargest,  ///< the largest, of equal ones the sum
+  kSum,      ///< the sum
+};
+inline constexpr double kWithin = 1.05;
+
+/// The best so far; of a mix also that whose largest is the least.
+class Incumbents {
+ public:
+  Incumbents(const Problem& problem, const std::vector<Tick>& reference, Aim aim);
+
+  /// Of valid ones: whether it would change anything.
+  [[nodiscard]] bool improved_by(const Figures& figures) const;
+  void add(const Candidate& candidate);
+  /// As long as there is none: the one that is nearest to being valid.
+  void add_invalid(const Candidate& candidate);
+
+  [[nodiscard]] bool any() const { return best_.figures.valid; }
+  [[nodiscard]] const Candidate& best() const { return best_; }
+  [[nodiscard]] const Candidate& least() const { return mixes_ ? least_ : best_; }
+  /// Of the mix there are two: first the least is looked for.
+  [[nodiscard]] bool mixes() const { return mixes_; }
+  [[nodiscard]] Goal first_goal() const;
+  [[nodiscard]] Goal goal() const;
+  /// No policy has less of the largest.
+  [[nodiscard]] bool least_is_known() const {
+    return least().figures.largest <= bound_ * kRounding;
+  }
+  /// There is one that misses no deadline.
+  [[nodiscard]] bool is_in_time() const {
+    return any() && (!deadlines_ || least().figures.largest <= 1);
+  }
+  /// As long as a deadline is missed that may be met, the largest alone counts.
+  [[nodiscard]] bool may_sum() const { return any() && (!in_time_ || is_in_time()); }
+
+ private:
+  static constexpr double kRounding = 1 + 1e-12;
+  bool deadlines_ = false, in_time_ = false, sums_ = false, mixes_ = false;
+  double bound_ = 0;  ///< of the largest
+  Candidate best_, least_;
+};
+
 /// What of a hint stays.
 enum class Keep {
   kNothing,    ///< it is where the search begins
@@ -30,18 +74,23 @@ struct SearchLimits {
   Until until;
   Until finish_until;  ///< later: a construction that was begun in time is evaluated and certified
   std::int64_t max_evaluations = 0;  ///< 0: no limit
-  /// Another thread's answer in place of one that is worse; may be empty.
-  std::function<void(Candidate&)> exchange;
+  /// Of a mix, for the least of the largest: a part of the former.
+  Until least_until;
+  /// Adds other threads' answers; may be empty.
+  std::function<void(Incumbents&)> exchange;
 };
+/// Part of the evaluations, and of the time, for the least of the largest. Chosen.
+inline constexpr double kForLeast = 0.4;
 
 class Search {
  public:
   /// `on_better` of run(): each certified improvement.
-  Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed);
+  Search(const Problem& problem, const std::vector<Tick>& reference, Aim aim, std::uint64_t seed);
 
   /// Constructs, then anneals from the best until the limits. `hint` may be null.
   void run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
            const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] const Incumbents& found() const { return found_; }
   [[nodiscard]] std::int64_t evaluations() const { return evaluator_.evaluations(); }
 
  private:
@@ -51,6 +100,13 @@ class Search {
   /// A decision from a policy's placements, its latest keys in ticks. Whoever has none is constructed.
   [[nodiscard]] Decision from_hint(const KeyPolicy& hint);
   [[nodiscard]] bool over() const;
+  /// Whether the least of the largest has been looked for long enough.
+  [[nodiscard]] bool may_sum() const;
+  [[nodiscard]] const Candidate& front() const {
+    return goal_.sum ? found_.best() : found_.least();
+  }
+  void set_goal();
+  [[nodiscard]] bool improves(const Figures& figures) const;
   void evaluate(Candidate& candidate);
   [[nodiscard]] int moved(const Decision& d) const;
   [[nodiscard]] bool may_move(int xnode) const {
@@ -81,7 +137,8 @@ class Search {
   bool still_ = false;     ///< for now only those without a home move
   std::vector<int> home_;  ///< [xnode] XPU of the hint that is to be kept, -1: none
   bool proven_ = false;    ///< every chain is at its bound
-  Candidate best_;
+  Incumbents found_;
+  Goal goal_;
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;
   std::vector<char> shared_;  ///< [xpu] of the annealer's state

@@ -2,9 +2,13 @@
 #include "solver/steady/solve.h"
 
 #include <algorithm>
+#include <array>
+#include <memory>
 
 #include "base/mutex.h"
 #include "solver/steady/chains.h"
+#include "solver/steady/exhibit.h"
+#include "solver/steady/holds.h"
 #include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
 #include "solver/steady/unpackable.h"
@@ -21,6 +25,8 @@ bool all_equal(const std::vector<std::int64_t>& values) {
 constexpr double kForFirstBounds = 0.1;  ///< part of the limit, at most
 /// For finer bounds at the end: a part of the limit, and at most so many seconds.
 constexpr double kForFinerBounds = 0.08, kForFinerBoundsS = 1;
+/// Before them, for holds that are not needed; so many seconds at least, even of a limit of 0.
+constexpr double kForHolds = 0.05, kForHoldsS = 0.5, kForHoldsAtLeastS = 0.05;
 /// Beyond the limit, to finish what was begun: a part of it. At least the seconds: even a limit of
 /// 0 has an answer where the app is small.
 constexpr double kToFinish = 0.1, kToFinishS = 0.2;
@@ -33,11 +39,27 @@ std::int64_t us_above(const Problem& p, Tick t) {
   return t <= 0 ? 0 : p.up_to_us(t) / p.scale;
 }
 
-KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
+/// Every job at its WCET, by its key, as the holds that are left allow. False: none that repeats was found.
+bool predict(const Problem& p, const std::vector<int>& xpu, const Windows& w, Schedule& schedule,
+             const Until& until) {
+  Rule rule;
+  rule.xpu = xpu;
+  rule.key = w.d;
+  rule.hold = w.hold;
+  rule.cost = p.preempt;
+  for (int i = 0; i < p.num_xnodes; ++i)
+    rule.work.push_back(std::max(Tick{1}, p.wcet(i, xpu[at(i)])));
+  rule.window.assign(at(p.num_xnodes), kNoTick);
+  rule.delay.assign(at(p.num_xnodes), 0);
+  rule.polite.assign(at(p.num_xnodes), 0);
+  schedule.start.resize(at(p.num_slots));
+  schedule.finish.resize(at(p.num_slots));
+  return Exhibitor(p, std::make_shared<Exhibitor::Scratch>()).run(0, rule, schedule, until);
+}
+
+KeyPlacement placement(const Problem& p, const Candidate& c, bool predicted, int i) {
   KeyPlacement placed;
   placed.xpu = c.decision.xpu[at(i)];
-  // Predicted times are those of one schedule; domains that share XPUs have none in common.
-  const bool predicted = p.domains.size() == 1 && !p.any_urgent;
   bool held = false;
   for (int n = 0; n < p.jobs[at(i)]; ++n) {
     const std::size_t s = at(p.slot[at(i)] + n);
@@ -57,13 +79,13 @@ KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
 }
 
 KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem& p,
-                    const Candidate& c, const std::vector<std::int64_t>& bounds) {
+                    const Candidate& c, bool predicted, const std::vector<std::int64_t>& bounds) {
   KeyPolicy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.platform = platform.name;
   policy.method = "auto";
-  for (int i = 0; i < p.num_xnodes; ++i) policy.placements.push_back(placement(p, c, i));
+  for (int i = 0; i < p.num_xnodes; ++i) policy.placements.push_back(placement(p, c, predicted, i));
   for (std::size_t k = 0; k < p.chains.size(); ++k) {
     const std::int64_t worst = us_above(p, c.figures.chain[k]);
     policy.chains.push_back({p.chains[k].name, worst, bounds[k], worst == bounds[k]});
@@ -100,26 +122,36 @@ Status check_hint(const KeyPolicy& hint, Keep keep, const AppSpec& app, const Pr
   return {};
 }
 
-/// The best of all threads.
+/// The best of all threads, and of each: which of equal ones came first does not matter.
 struct Shared {
   Mutex mutex;
-  Candidate best XAUTO_GUARDED_BY(mutex);
-  bool any XAUTO_GUARDED_BY(mutex) = false;
-  int thread XAUTO_GUARDED_BY(mutex) = 0;  ///< whose it is
+  Incumbents best XAUTO_GUARDED_BY(mutex);
+  std::vector<Incumbents> of_thread XAUTO_GUARDED_BY(mutex);
   double first_ms XAUTO_GUARDED_BY(mutex) = 0;
 };
 
+/// First what limits the others.
+void add_all(const std::vector<Incumbents>& from, Incumbents& to) {
+  for (const Incumbents& best : from) to.add(best.least());
+  for (const Incumbents& best : from) to.add(best.best());
+}
+
 }  // namespace
 
-double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
-  double late = 0, sum = 0;
+Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
+  const bool deadlines = app.has_deadlines();
+  std::int64_t longest = 1;
+  for (const ChainSpec& chain : app.chains)
+    longest = std::max(longest, chain.deadline_us.value_or(1));
+  Totals totals;
   for (std::size_t c = 0; c < app.chains.size() && c < chain_us.size(); ++c) {
-    const auto us = static_cast<double>(chain_us[c]);
-    if (app.chains[c].deadline_us)
-      late = std::max(late, us / static_cast<double>(*app.chains[c].deadline_us));
-    sum += static_cast<double>(app.chains[c].weight) * us;
+    const ChainSpec& chain = app.chains[c];
+    const double part =
+        static_cast<double>(chain_us[c]) / static_cast<double>(chain.deadline_us.value_or(longest));
+    if (!deadlines || chain.deadline_us) totals.largest = std::max(totals.largest, part);
+    totals.sum += static_cast<double>(chain.weight) * part;
   }
-  return late > 0 ? late : sum;
+  return totals;
 }
 
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
@@ -152,7 +184,15 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     for_search.deadline = std::max(
         for_bounds.deadline,
         began + std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
-                    limit - std::min(kForFinerBounds * limit, kForFinerBoundsS))));
+                    limit - std::min(kForFinerBounds * limit, kForFinerBoundsS) -
+                    std::min(kForHolds * limit, kForHoldsS))));
+
+  Until for_least = until;
+  if (limit < kNoLimitS) {
+    const SteadyTime from = std::min(for_search.deadline, std::chrono::steady_clock::now());
+    for_least.deadline = from + std::chrono::duration_cast<SteadyTime::duration>(
+                                    kForLeast * (for_search.deadline - from));
+  }
 
   Until to_finish = until;
   if (limit < kNoLimitS)
@@ -160,31 +200,33 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
         std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
 
   const int threads = std::clamp(options.threads, 1, kMostThreads);
-  Shared shared;
+  Shared shared{{}, Incumbents(p, reference, options.aim), {}};
+  {
+    const Lock lock(shared.mutex);
+    shared.of_thread.assign(at(threads), shared.best);
+  }
   std::vector<std::int64_t> evaluations(at(threads), 0);
   const auto work = [&](int index) {
-    Search search(p, reference, options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
-    SearchLimits limits{for_search, to_finish, 0, {}};
+    Search search(p, reference, options.aim,
+                  options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
+    SearchLimits limits{for_search, to_finish, 0, for_least, {}};
     if (options.max_evaluations > 0)
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
     else if (threads > 1)  // what depends on who is faster is for those who set no budget
-      limits.exchange = [&](Candidate& best) {
+      limits.exchange = [&](Incumbents& best) {
         const Lock lock(shared.mutex);
-        if (shared.any && shared.best.figures.better_than(best.figures)) best = shared.best;
+        add_all(shared.of_thread, best);
       };
     search.run(limits, options.hint, options.keep, [&](const Candidate& c) {
       const Lock lock(shared.mutex);
-      // Of equal answers that of the lowest thread, whoever came first.
-      if (shared.any && !c.figures.better_than(shared.best.figures) &&
-          (shared.best.figures.better_than(c.figures) || index >= shared.thread))
-        return;
-      shared.thread = index;
-      if (!shared.any) shared.first_ms = elapsed() * 1e3;
-      shared.any = true;
-      shared.best = c;
-      if (options.on_progress)
-        options.on_progress({elapsed(), c.figures.late,
-                             c.figures.sum / static_cast<double>(p.scale), search.evaluations()});
+      if (!shared.best.any()) shared.first_ms = elapsed() * 1e3;
+      shared.of_thread[at(index)] = search.found();
+      const bool better = shared.best.improved_by(c.figures);
+      shared.best.add(c);
+      if (better && options.on_progress)
+        options.on_progress({elapsed(), p.deadlines ? c.figures.largest : 0,
+                             c.figures.sum / (p.deadlines ? 1 : static_cast<double>(p.scale)),
+                             search.evaluations()});
     });
     evaluations[at(index)] = search.evaluations();
   };
@@ -196,16 +238,31 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   for (; started < threads && options.max_evaluations > 0; ++started) work(started);
   pool.join();
   for (const std::int64_t e : evaluations) answer.evaluations += e;
+  const Lock lock(shared.mutex);
+  Incumbents found(p, reference, options.aim);
+  add_all(shared.of_thread, found);
+  Candidate best = found.best();
+  if (found.any()) {
+    Until for_holds{std::max(for_search.deadline, std::chrono::steady_clock::now())};
+    if (limit < kNoLimitS)
+      for_holds.deadline +=
+          std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
+              std::clamp(kForHolds * limit, kForHoldsAtLeastS, kForHoldsS)));
+    drop_holds(p, best.decision.xpu, best.figures.w, for_holds);
+  }
   // What is left of the time makes the bounds better.
   std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
   for (std::size_t c = 0; c < finer.size(); ++c) {
     finer[c] = std::max(finer[c], reference[c]);
     answer.lower_bound_us[c] = us_above(p, finer[c]);
   }
-  answer.objective_bound = objective_bound(p, finer, kMostCasesOfAll, for_finer);
-  if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
-  const Lock lock(shared.mutex);
-  if (!shared.any) {
+  const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);
+  // First what was asked for.
+  for (const bool sum :
+       options.aim == Aim::kLargest ? std::array{false, true} : std::array{true, false})
+    (sum ? answer.bounds.sum : answer.bounds.largest) =
+        objective_bound(p, finer, sum, kMostCasesOfAll, for_finer) / unit;
+  if (!found.any()) {
     if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
       answer.outcome = Outcome::kUnsustainable;
       answer.overload = std::move(*proof);
@@ -213,10 +270,15 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     return answer;
   }
   answer.outcome = Outcome::kPolicy;
-  answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);
+  // Predicted times are those of one schedule; domains that share XPUs have none in common.
+  const bool predicted =
+      p.domains.size() == 1 && !p.any_urgent &&
+      predict(p, best.decision.xpu, best.figures.w, best.figures.schedule, to_finish);
+  answer.policy = policy_of(app, platform, p, best, predicted, answer.lower_bound_us);
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
-  answer.objective = objective_of(app, chain_us);
+  answer.totals = totals_of(app, chain_us);
+  answer.least_largest = std::min(answer.totals.largest, found.least().figures.largest / unit);
   answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
   answer.first_answer_ms = shared.first_ms;
   if (options.hint != nullptr)

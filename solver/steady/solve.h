@@ -18,12 +18,13 @@ namespace xauto::solver::steady {
 
 struct Progress {
   double elapsed_s = 0;
-  double late = 0;    ///< largest worst case / deadline; 0: no chain has a deadline
-  double sum_us = 0;  ///< weighted sum of the worst cases
+  double late = 0;  ///< largest worst case / deadline; 0: no chain has a deadline
+  double sum = 0;   ///< Totals::sum
   std::int64_t evaluations = 0;
 };
 
 struct Options {
+  Aim aim = Aim::kMix;
   double time_limit_s = 10;
   int threads = 1;
   std::uint64_t seed = 1;
@@ -40,6 +41,14 @@ struct Options {
   Keep keep = Keep::kNothing;
 };
 
+/// Of all chains' worst cases. Where a chain has a deadline, in parts of deadlines: one that has none counts in the
+/// sum as if it had the largest of the others'. Else in us.
+struct Totals {
+  double largest = 0;  ///< of those with a deadline, if there are any
+  double sum = 0;      ///< weighted
+};
+[[nodiscard]] Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us);
+
 enum class Outcome {
   kPolicy,
   kUnsustainable,  ///< proven: no policy keeps up
@@ -52,17 +61,14 @@ struct Answer {
   OverloadProof overload;  ///< kUnsustainable
   /// [chain] where no policy was found, too.
   std::vector<std::int64_t> lower_bound_us;
-  /// kPolicy: objective_of the policy's chains. No policy has less than the bound, which is at least
-  /// what lower_bound_us say.
-  double objective = 0, objective_bound = 0;
-  std::vector<int> moved;  ///< XNodes that are not where the hint has them
+  /// kPolicy: of the policy's chains. No policy has less of either than the bounds, which are at least what
+  /// lower_bound_us say.
+  Totals totals, bounds;
+  double least_largest = 0;  ///< kPolicy: that was found, of any policy
+  std::vector<int> moved;    ///< XNodes that are not where the hint has them
   double first_answer_ms = 0;
   std::int64_t evaluations = 0;
 };
-
-/// What is minimised: the largest worst case / deadline, where a chain has a deadline; otherwise the
-/// weighted sum of the worst cases, in us. Smaller is better.
-[[nodiscard]] double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us);
 
 /// kInvalid, kInfeasible: Problem::create; a hint for another app.
 [[nodiscard]] Result<Answer> solve(const AppSpec& app, const Platform& platform,

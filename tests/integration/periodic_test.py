@@ -64,6 +64,10 @@ class Periodic(unittest.TestCase):
             for chain in played["chains"]:
                 self.assertGreater(chain["releases"], 0)
                 self.assertLessEqual(chain["longest_us"], claims[chain["name"]]["worst_case_us"])
+                self.assertLessEqual(0, chain["median_us"])
+                self.assertLessEqual(chain["median_us"], chain["p99_us"])
+                self.assertLessEqual(chain["p99_us"], chain["longest_us"])
+                self.assertGreater(chain["p99_us"], 0)
 
     def test_the_answer_depends_on_the_seed_alone(self):
         self.solve("--seed", 5)
@@ -169,6 +173,30 @@ class Periodic(unittest.TestCase):
         spiky["typical_us"] = {"cpu": 16000}
         self.app["xnodes"][0] |= spiky
         self.assertNotIn("rare_wcets", json.loads(self.solve("--json", status=1).stdout), "twice is not above twice")
+
+    def test_the_answer_says_what_was_minimised(self):
+        for chain in self.app["chains"]:
+            chain["deadline_us"] = 200000
+        told = {}
+        for asked, option in (("mix", []), ("largest", ["--objective", "largest"]), ("sum", ["--objective", "sum"])):
+            told[asked] = json.loads(self.solve("--json", *option).stdout)["objective"]
+            self.assertEqual((told[asked]["asked"], told[asked]["of"]), (asked, "worst case / deadline"))
+            for figure in ("largest", "sum"):
+                self.assertLessEqual(told[asked][figure]["lower_bound"], told[asked][figure]["value"] * (1 + 1e-9))
+            worst = [c["worst_case_us"] / 200000 for c in self.policy()["chains"]]
+            self.assertAlmostEqual(told[asked]["largest"]["value"], max(worst))
+        self.assertLessEqual(told["mix"]["largest"]["value"], 1.05 * told["mix"]["least_largest_found"] + 1e-5)
+        self.assertNotIn("least_largest_found", told["sum"])
+        self.assertIn("objective: no deadline is missed; then the least of the largest worst case / deadline",
+                      self.solve("--objective", "largest").stdout)
+        self.assertIn("the largest of them within 5 % of the least found", self.solve().stdout)
+        self.assertIn("objective", self.solve("--objective", "shortest", status=2).stderr)
+        one = self.run_tool("solve", "--app", str(SOURCE / "tests/golden/app.json"), "--objective", "sum", status=2)
+        self.assertIn("--objective", one.stderr)
+        for chain in self.app["chains"]:
+            del chain["deadline_us"]
+        self.assertEqual(json.loads(self.solve("--json").stdout)["objective"]["of"], "worst case")
+        self.assertRegex(self.solve().stdout, r"(?m)^  objective: the least weighted sum of worst case$")
 
     def test_a_deadline_below_the_bound_is_proven_impossible(self):
         self.app["chains"][0]["deadline_us"] = 1000

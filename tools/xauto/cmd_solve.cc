@@ -51,6 +51,7 @@ struct SolveFlags {
   std::string hint;
   std::vector<std::string> assume;
   bool keep = false;
+  std::string objective;
   std::string scenarios;
   int tables = 0;
   double regret = 0;
@@ -133,7 +134,7 @@ Result<std::vector<solver::WhatIf>> ask_what_if(const SolveFlags& flags, const A
   return answers;
 }
 
-void print_more(const AppSpec& app, const Policy& policy, const solver::SolveReport& report,
+void print_more(const Policy& policy, const solver::SolveReport& report,
                 const std::vector<solver::WhatIf>& answers) {
   if (policy.worst_case_us != policy.latency_us && report.certified_us > 0)
     std::printf(
@@ -243,6 +244,8 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
     return fail(ErrorCode::kInvalid, "keeps what a policy says", "--keep",
                 "name the policy: --hint policy.json");
   if (flags.keep) asked.keep = solver::steady::Keep::kMost;
+  if (flags.objective == "largest") asked.aim = solver::steady::Aim::kLargest;
+  if (flags.objective == "sum") asked.aim = solver::steady::Aim::kSum;
   asked.stop = &interrupted;
   stop_on_interrupt();
   return solve_periodic(app, platform, asked, flags.assume, flags.out, options);
@@ -265,9 +268,10 @@ Result<int> solve_tables(SolveFlags& flags, const AppSpec& app, const Options& o
                 "chains, pins, forbids, groups and --deadline-us are not known", "--scenarios",
                 "take them out of app.json");
   if (flags.options.method != "auto" || flags.what_if || !flags.implement.empty() ||
-      !flags.hint.empty() || flags.keep || !flags.assume.empty())
+      !flags.hint.empty() || flags.keep || !flags.assume.empty() || !flags.objective.empty())
     return fail(ErrorCode::kInvalid,
-                "does not go with --method, --what-if, --implement, --hint, --keep and --assume",
+                "does not go with --method, --what-if, --implement, --hint, --keep, --assume and "
+                "--objective",
                 "--scenarios");
   if (flags.tables <= 0 && flags.regret < 1)
     return fail(ErrorCode::kInvalid, "needs --tables or --regret", "--scenarios",
@@ -293,8 +297,9 @@ Result<int> solve(SolveFlags& flags, const Options& options) {
                 "name them: --scenarios scenarios.json");
   if (app.version == 2) return solve_on_and_on(flags, app, options);
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  if (!flags.hint.empty() || flags.keep || !flags.assume.empty())
-    return fail(ErrorCode::kInvalid, "are for an app of version 2", "--hint, --keep, --assume");
+  if (!flags.hint.empty() || flags.keep || !flags.assume.empty() || !flags.objective.empty())
+    return fail(ErrorCode::kInvalid, "are for an app of version 2",
+                "--hint, --keep, --assume, --objective");
   XAUTO_TRY(read_objectives(flags));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
@@ -315,7 +320,7 @@ Result<int> solve(SolveFlags& flags, const Options& options) {
     print_json(app, platform, policy, report, answers, reading_ms);
   } else {
     print_table(app, platform, policy);
-    print_more(app, policy, report, answers);
+    print_more(policy, report, answers);
     std::fputs(words_of(rare_in(app, platform, policy, report), app).c_str(), stdout);
   }
   std::fflush(stdout);
@@ -361,6 +366,10 @@ void add_solve(Commands& commands) {
       "version 2: what would be if SOURCE=HZ, TYPE=PERCENT% of its WCETs, or +TYPE one more");
   verb.flag("--keep", flags->keep,
             "version 2: with --hint, as few XNodes as possible move to another XPU");
+  verb.option("--objective", flags->objective,
+              "version 2: minimise the largest worst case / deadline, or their weighted sum, "
+              "alone; default: the sum, the largest within 5 % of the least")
+      .one_of({"largest", "sum"});
   verb.option("--scenarios", flags->scenarios,
               "scenarios.json: several policies, one of which serves each scenario");
   verb.option("--tables", flags->tables, "with --scenarios: at most so many policies")

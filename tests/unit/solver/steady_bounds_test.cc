@@ -24,9 +24,9 @@ namespace {
 
 struct Best {
   bool any = false;
-  std::vector<Tick> chain;                      ///< [chain] least worst case, each by itself
-  Tick sum = std::numeric_limits<Tick>::max();  ///< least weighted sum
-  double largest = std::numeric_limits<double>::max();  ///< least of the largest / deadline
+  std::vector<Tick> chain;                          ///< [chain] least worst case, each by itself
+  double sum = std::numeric_limits<double>::max();  ///< least weighted sum of worst case / by
+  double largest = std::numeric_limits<double>::max();  ///< least of the largest worst case / by
   std::vector<int> xpu;                                 ///< of `sum`
   Windows w;
   std::int64_t tried = 0, accepted = 0;
@@ -71,15 +71,14 @@ struct Exhaustion {
     if (!report) return;
     ++best.accepted;
     best.any = true;
-    Tick sum = 0;
-    double largest = 0;
+    double sum = 0, largest = 0;
     for (std::size_t c = 0; c < p.chains.size(); ++c) {
       const Tick worst = report->chains[c].derived_us;
       best.chain[c] = std::min(best.chain[c], worst);
-      sum += p.chains[c].weight * worst;
-      if (p.chains[c].deadline != kNoTick)
-        largest = std::max(largest, static_cast<double>(worst * p.scale) /
-                                        static_cast<double>(p.chains[c].deadline));
+      const double part =
+          static_cast<double>(worst * p.scale) / static_cast<double>(p.chains[c].by);
+      sum += static_cast<double>(p.chains[c].weight) * part;
+      if (!p.deadlines || p.chains[c].deadline != kNoTick) largest = std::max(largest, part);
     }
     best.largest = std::min(best.largest, largest);
     if (sum >= best.sum) return;
@@ -161,7 +160,7 @@ TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
     Tick sum = 0;
     for (const ChainClaim& chain : answer->policy.chains) sum += chain.worst_case_us;
     ++sums;
-    sums_reached += sum <= best.sum ? 1 : 0;
+    sums_reached += static_cast<double>(sum * p->scale) <= best.sum ? 1 : 0;
   }
   EXPECT_GT(with_policy, 60);
   EXPECT_GT(refused, 3);
@@ -207,14 +206,15 @@ Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick mo
   double apart = 0;
   for (std::size_t c = 0; c < bounds.size(); ++c) {
     EXPECT_LE(bounds[c], best.chain[c]) << app.chains[c].name;
-    apart += static_cast<double>(p->chains[c].weight * bounds[c]);
+    apart +=
+        static_cast<double>(p->chains[c].weight * bounds[c]) / static_cast<double>(p->chains[c].by);
   }
-  const double bound = objective_bound(*p, bounds, cases);
-  const bool ratio = app.has_deadlines();
-  const double least = ratio ? best.largest : static_cast<double>(best.sum * p->scale);
-  EXPECT_LE(bound, least);
-  found.tight = bound > 0.9999 * least;
-  found.above_sum = !ratio && bound > 1.0001 * apart;
+  const double largest = objective_bound(*p, bounds, false, cases);
+  const double sum = objective_bound(*p, bounds, true, cases);
+  EXPECT_LE(largest, best.largest);
+  EXPECT_LE(sum, best.sum * (1 + 1e-12));
+  found.tight = p->deadlines ? largest > 0.9999 * best.largest : sum > 0.9999 * best.sum;
+  found.above_sum = sum > 1.0001 * apart;
   return found;
 }
 
@@ -313,8 +313,12 @@ TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
       placed.hold_us = {best.w.hold[at(p->slot[at(i)])]};
       policy.placements.push_back(placed);
     }
+    Windows w = best.w;
+    w.a.resize(at(p->num_slots));
+    for (std::size_t d = 0; d < p->domains.size(); ++d)
+      derive_ready(*p, static_cast<int>(d), best.xpu, w);
     for (const Chain& chain : p->chains)
-      policy.chains.push_back({chain.name, worst_case(*p, chain, best.w), 0, false});
+      policy.chains.push_back({chain.name, worst_case(*p, chain, w), 0, false});
     for (int k = 0; k < 40; ++k) {
       Disturbance how;
       how.seed = static_cast<std::uint64_t>(k) + 1;

@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// Early start: from when on a job may run that the plan holds, at the latest. Whoever runs a policy of keys lets a job
+// wait until then, or until the reason for its hold has gone: docs/steady-state.md, "Early start".
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "model/app.h"
+#include "model/key_policy.h"
+#include "model/platform.h"
+
+namespace xauto {
+
+/// [xnode][activation mod size] E, in us after the nominal release: the largest of the job's hold, of its sources'
+/// offsets, and of E + transfer of what it waits for, by edges and order. Empty: no hold delays it, its own or
+/// another's, so that it has no need to wait. The policy is one that validate() takes.
+[[nodiscard]] std::vector<std::vector<std::int64_t>> planned_starts_us(const AppSpec& app,
+                                                                       const Platform& platform,
+                                                                       const KeyPolicy& policy);
+
+}  // namespace xauto

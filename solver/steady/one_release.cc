@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/one_release.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "solver/solve.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+/// `keep`: [xnode] whether it is in it. With the wishes that are of those.
+struct Part {
+  AppSpec app;
+  Objectives wishes;
+};
+Part part_of(const AppSpec& app, const Objectives& wishes, const std::vector<char>& keep) {
+  Part part;
+  part.app.name = app.name;
+  std::vector<int> number(app.xnodes.size(), -1);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    if (keep[i] == 0) continue;
+    number[i] = static_cast<int>(part.app.xnodes.size());
+    XNodeSpec x = app.xnodes[i];
+    x.sources.clear();
+    x.variants.clear();
+    part.app.xnodes.push_back(std::move(x));
+  }
+  for (const auto& [u, v] : app.edges)
+    if (number[at(u)] >= 0 && number[at(v)] >= 0)
+      part.app.edges.emplace_back(number[at(u)], number[at(v)]);
+  const auto known = [&](const std::string& name) { return part.app.find(name) >= 0; };
+  for (const auto& pin : wishes.pins)
+    if (known(pin.first)) part.wishes.pins.push_back(pin);
+  for (const auto& forbid : wishes.forbids)
+    if (known(forbid.first)) part.wishes.forbids.push_back(forbid);
+  for (const auto& group : wishes.groups) {
+    std::vector<std::string> there;
+    std::copy_if(group.begin(), group.end(), std::back_inserter(there), known);
+    if (there.size() > 1) part.wishes.groups.push_back(std::move(there));
+  }
+  return part;
+}
+
+SolveOptions asked(const OneReleaseOptions& options, Objectives wishes) {
+  SolveOptions asked;
+  asked.time_limit_s = options.time_limit_s;
+  asked.threads = options.threads;
+  asked.seed = options.seed;
+  asked.max_evaluations = options.max_evaluations;
+  asked.stop = options.stop;
+  asked.objectives = std::move(wishes);
+  return asked;
+}
+
+bool released_together(const Problem& p) {
+  return std::all_of(p.components.begin(), p.components.end(), [&](const Component& c) {
+    const Component& first = p.components.front();
+    return c.domain == first.domain && c.period == first.period && c.phase == first.phase;
+  });
+}
+
+/// Of chains within one component, since what a sample reads is of another release.
+void add_deadlines(const AppSpec& app, const Problem& p, Objectives& wishes) {
+  for (std::size_t c = 0; c < p.chains.size(); ++c) {
+    const Chain& chain = p.chains[c];
+    const bool direct = std::any_of(chain.paths.begin(), chain.paths.end(),
+                                    [](const Path& path) { return path.samples.empty(); });
+    if (!app.chains[c].deadline_us || !direct) continue;
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      const std::vector<int>& heard = app.xnodes[at(i)].sources;
+      if (std::find(heard.begin(), heard.end(), chain.source) == heard.end() ||
+          (i != chain.to && !p.before(i, chain.to)))
+        continue;
+      wishes.chains.push_back({chain.name, p.xnode_name[at(i)], p.xnode_name[at(chain.to)],
+                               app.chains[c].deadline_us, 0});
+      break;
+    }
+  }
+}
+
+}  // namespace
+
+std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app, const Platform& platform,
+                                             const Problem& p, const OneReleaseOptions& options) {
+  if (!released_together(p)) return {};
+  Part whole = part_of(app, options.wishes, std::vector<char>(app.xnodes.size(), 1));
+  add_deadlines(app, p, whole.wishes);
+  SolveOptions solving = asked(options, std::move(whole.wishes));
+  solving.certify = true;
+  const Result<Policy> plan = solver::solve(whole.app, platform, solving);
+  if (!plan) return {};
+  // Nobody hears before the latest of the roots.
+  const Tick late =
+      p.up_to_us(*std::max_element(p.root_ready.begin(), p.root_ready.end())) / p.scale;
+  KeyPolicy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.platform = platform.name;
+  policy.method = "auto";
+  policy.order = plan->order;
+  for (const Placement& placed : plan->placements)
+    policy.placements.push_back({placed.xpu, {placed.finish_us + late}});
+  return policy;
+}
+
+Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
+                       const OneReleaseOptions& options) {
+  std::vector<char> keep(at(p.num_xnodes), 0);
+  Tick earliest = kMostTicks;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (i != to && !p.before(i, to)) continue;
+    keep[at(i)] = 1;
+    if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
+  }
+  Part part = part_of(app, options.wishes, keep);
+  const Result<Policy> plan =
+      solver::solve(part.app, platform, asked(options, std::move(part.wishes)));
+  return plan ? earliest + plan->lower_bound_us * p.scale : 0;
+}
+
+}  // namespace xauto::solver::steady

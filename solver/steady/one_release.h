@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// One release of everything, as a start for the search of keys: where all XNodes are released together, the plan of
+// solver/solve.h is a policy of keys. Each key is a finish, and its order pairs are KeyPolicy::order (docs/steady-state.md,
+// "Order"). Where releases do not meet its worst case is that policy's.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <optional>
+
+#include "model/key_policy.h"
+#include "solver/objectives.h"
+#include "solver/steady/problem.h"
+
+namespace xauto::solver::steady {
+
+struct OneReleaseOptions {
+  double time_limit_s = 1;
+  int threads = 1;
+  std::uint64_t seed = 1;
+  std::int64_t max_evaluations = 0;  ///< as in SolveOptions
+  const std::atomic<bool>* stop = nullptr;
+  Objectives wishes = {};  ///< pins, forbids and groups
+};
+
+/// No claims and no bounds are in it: whoever takes it certifies it. Nothing where XNodes are not all released together,
+/// or no plan is found in time. `p`: of this app, without order.
+[[nodiscard]] std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app,
+                                                           const Platform& platform,
+                                                           const Problem& p,
+                                                           const OneReleaseOptions& options);
+
+/// No policy of keys ends `to` of a release earlier after its nominal release, in the worst case: the solver's proof for
+/// what `to` waits for by edges, alone. At least 0.
+[[nodiscard]] Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p,
+                                     int to, const OneReleaseOptions& options);
+
+}  // namespace xauto::solver::steady
