@@ -5,8 +5,8 @@
 #include <map>
 #include <numeric>
 
-#include "solver/bounds.h"
 #include "solver/steady/load_bound.h"
+#include "solver/steady/one_release.h"
 #include "solver/steady/unpackable.h"
 
 namespace xauto::solver::steady {
@@ -191,6 +191,9 @@ class Pieces {
   std::vector<Tick> longest_;  ///< [xpu] that does not preempt, of all that may be there
 };
 
+/// Of the time that is left, for the proof of one chain's end, and at most so many seconds.
+constexpr double kForProofs = 0.3, kMostForProofS = 5;
+
 /// A part of the time that is left, so that others have theirs.
 Until share_of(const Until& until, std::size_t parts) {
   Until share = until;
@@ -222,30 +225,20 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
   const auto bound_of = [&](int to) {
     const auto [it, fresh] = single.emplace(to, ends[at(to)]);
     if (!fresh || until.over()) return it->second;
-    AppSpec part;
-    part.name = app.name;
-    std::vector<int> number(at(p.num_xnodes), -1);
-    Objectives placing;
-    Tick earliest = kMostTicks;
-    for (const int i : p.components[at(p.component_of[at(to)])].xnodes) {
-      if (i != to && !p.before(i, to)) continue;
-      number[at(i)] = static_cast<int>(part.xnodes.size());
-      XNodeSpec x = app.xnodes[at(i)];
-      x.sources.clear();
-      part.xnodes.push_back(std::move(x));
-      if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
-    }
-    for (const auto& [u, v] : app.edges)
-      if (number[at(u)] >= 0 && number[at(v)] >= 0)
-        part.edges.emplace_back(number[at(u)], number[at(v)]);
-    const auto known = [&](const std::string& name) { return part.find(name) >= 0; };
-    for (const auto& pin : wishes.pins)
-      if (known(pin.first)) placing.pins.push_back(pin);
-    for (const auto& f : wishes.forbids)
-      if (known(f.first)) placing.forbids.push_back(f);
-    Result<solver::Problem> base = solver::Problem::create(part, platform);
-    if (!base || !resolve(placing, part, platform, *base)) return it->second;
-    it->second = std::max(it->second, earliest + quick_bound(*base, until) * p.scale);
+    it->second = std::max(it->second, quick_release_bound(app, platform, p, to, wishes, until));
+    if (most_cases == 0) return it->second;
+    // The proof of the solver of one release, as far as it comes in its part of the time.
+    OneReleaseOptions asked;
+    asked.wishes = wishes;
+    asked.stop = until.stop;
+    asked.time_limit_s = kMostForProofS;
+    if (until.deadline != SteadyTime::max())
+      asked.time_limit_s = std::min(
+          asked.time_limit_s, kForProofs * std::chrono::duration<double>(
+                                               until.deadline - std::chrono::steady_clock::now())
+                                               .count());
+    if (asked.time_limit_s > 0)
+      it->second = std::max(it->second, one_release_bound(app, platform, p, to, asked));
     return it->second;
   };
   const Pieces pieces(p, least, ends);

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "solver/bounds.h"
 #include "solver/solve.h"
 
 namespace xauto::solver::steady {
@@ -80,6 +81,19 @@ void add_deadlines(const AppSpec& app, const Problem& p, Objectives& wishes) {
   }
 }
 
+/// What `to` waits for by edges, and when the first of its roots hears, at the latest.
+Part behind(const AppSpec& app, const Problem& p, int to, const Objectives& wishes,
+            Tick& earliest) {
+  std::vector<char> keep(at(p.num_xnodes), 0);
+  earliest = kMostTicks;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (i != to && !p.before(i, to)) continue;
+    keep[at(i)] = 1;
+    if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
+  }
+  return part_of(app, wishes, keep);
+}
+
 }  // namespace
 
 std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app, const Platform& platform,
@@ -105,16 +119,19 @@ std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app, const Platform&
   return policy;
 }
 
+Tick quick_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
+                         const Objectives& wishes, const Until& until) {
+  Tick earliest = 0;
+  const Part part = behind(app, p, to, wishes, earliest);
+  Result<solver::Problem> base = solver::Problem::create(part.app, platform);
+  if (!base || !resolve(part.wishes, part.app, platform, *base)) return 0;
+  return earliest + quick_bound(*base, until) * p.scale;
+}
+
 Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
                        const OneReleaseOptions& options) {
-  std::vector<char> keep(at(p.num_xnodes), 0);
-  Tick earliest = kMostTicks;
-  for (int i = 0; i < p.num_xnodes; ++i) {
-    if (i != to && !p.before(i, to)) continue;
-    keep[at(i)] = 1;
-    if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
-  }
-  Part part = part_of(app, options.wishes, keep);
+  Tick earliest = 0;
+  Part part = behind(app, p, to, options.wishes, earliest);
   const Result<Policy> plan =
       solver::solve(part.app, platform, asked(options, std::move(part.wishes)));
   return plan ? earliest + plan->lower_bound_us * p.scale : 0;

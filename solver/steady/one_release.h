@@ -11,6 +11,7 @@
 #include "model/key_policy.h"
 #include "solver/objectives.h"
 #include "solver/steady/problem.h"
+#include "solver/until.h"
 
 namespace xauto::solver::steady {
 
@@ -30,6 +31,10 @@ struct OneReleaseOptions {
                                                            const Problem& p,
                                                            const OneReleaseOptions& options);
 
+/// As one_release_bound, by what takes microseconds.
+[[nodiscard]] Tick quick_release_bound(const AppSpec& app, const Platform& platform,
+                                       const Problem& p, int to, const Objectives& wishes,
+                                       const Until& until);
 /// No policy of keys ends `to` of a release earlier after its nominal release, in the worst case: the solver's proof for
 /// what `to` waits for by edges, alone. At least 0.
 [[nodiscard]] Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p,

@@ -112,9 +112,7 @@ std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
 }  // namespace
 
 Incumbents::Incumbents(const Problem& p, const std::vector<Tick>& reference, Aim aim)
-    : deadlines_(p.deadlines),
-      sums_(aim != Aim::kLargest),
-      mixes_(aim == Aim::kMix && p.deadlines) {
+    : deadlines_(p.deadlines), sums_(aim != Aim::kLargest), mixes_(aim == Aim::kMix) {
   for (std::size_t c = 0; c < p.chains.size(); ++c)
     if (!p.deadlines || p.chains[c].deadline != kNoTick)
       bound_ = std::max(bound_, static_cast<double>(p.up_to_us(reference[c])) /

@@ -10,6 +10,7 @@
 #include "solver/steady/exhibit.h"
 #include "solver/steady/holds.h"
 #include "solver/steady/lower_bounds.h"
+#include "solver/steady/one_release.h"
 #include "solver/steady/search.h"
 #include "solver/steady/unpackable.h"
 #include "solver/threads.h"
@@ -33,6 +34,10 @@ constexpr double kToFinish = 0.1, kToFinishS = 0.2;
 /// Cases that are parted, at most, for each chain's bound at the end, and for that of all together.
 /// Of all together 60 and 2000 were before; what the number alone brought is not kept.
 constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
+/// For the plan of one release: a part of the limit, and at most so many seconds; then for the search of keys around
+/// it, and for a proof that they are the best. Of a budget so many evaluations of the plan are one of keys.
+constexpr double kForPlan = 0.3, kForPlanS = 5, kForPlans = 0.1, kForProof = 0.2;
+constexpr std::int64_t kPlansOfEvaluation = 100;
 
 /// Rounded up: what is claimed may be larger, never smaller.
 std::int64_t us_above(const Problem& p, Tick t) {
@@ -136,6 +141,119 @@ void add_all(const std::vector<Incumbents>& from, Incumbents& to) {
   for (const Incumbents& best : from) to.add(best.best());
 }
 
+/// A policy to begin with, whose order stays.
+struct Seed {
+  Problem problem;
+  KeyPolicy policy;
+};
+
+/// The plan of one release, where that is all there is, and a hint with order.
+std::vector<Seed> seeds_of(const AppSpec& app, const Platform& platform, const Problem& p,
+                           const Options& options, double limit_s) {
+  std::vector<Seed> seeds;
+  const auto add = [&](const KeyPolicy& policy) {
+    Result<Problem> with = Problem::create(app, platform, options.wishes, policy.order);
+    if (with) seeds.push_back({std::move(*with), policy});
+  };
+  const KeyPolicy* hint = options.hint;
+  if (hint != nullptr && !hint->order.empty() && check_hint(*hint, Keep::kPlacement, app, p))
+    add(*hint);
+  if (options.keep != Keep::kNothing) return seeds;
+  OneReleaseOptions asked{std::min(kForPlan * limit_s, kForPlanS),
+                          options.threads,
+                          options.seed,
+                          0,
+                          options.stop,
+                          options.wishes};
+  if (options.max_evaluations > 0) {
+    asked.max_evaluations = options.max_evaluations * kPlansOfEvaluation;
+    asked.time_limit_s = limit_s;
+  }
+  if (const auto plan = plan_of_one_release(app, platform, p, asked)) add(*plan);
+  return seeds;
+}
+
+bool at_bounds(const Problem& p, const Candidate& c, const std::vector<Tick>& bounds) {
+  for (std::size_t k = 0; k < bounds.size(); ++k)
+    if (c.figures.chain[k] > p.up_to_us(bounds[k])) return false;
+  return true;
+}
+
+Until part_of(const Until& until, double part) {
+  Until sooner = until;
+  if (until.deadline == SteadyTime::max()) return sooner;
+  const SteadyTime now = std::chrono::steady_clock::now();
+  if (now < until.deadline)
+    sooner.deadline =
+        now + std::chrono::duration_cast<SteadyTime::duration>(part * (until.deadline - now));
+  return sooner;
+}
+
+/// All threads' search of one problem.
+struct Round {
+  const AppSpec& app;
+  const Options& options;
+  std::function<double()> elapsed;
+  SearchLimits limits;  ///< of each thread, but for the budget
+  std::int64_t budget = 0;
+  std::int64_t evaluations = 0;
+  double first_ms = 0;
+
+  void took(const Round& other) {
+    evaluations = other.evaluations;
+    first_ms = other.first_ms;
+  }
+
+  Incumbents search(const Problem& p, const std::vector<Tick>& reference, const KeyPolicy* hint,
+                    Keep keep) {
+    const int threads = std::clamp(options.threads, 1, kMostThreads);
+    Shared shared{{}, Incumbents(p, reference, options.aim), {}};
+    {
+      const Lock lock(shared.mutex);
+      shared.of_thread.assign(at(threads), shared.best);
+      shared.first_ms = first_ms;
+    }
+    std::vector<std::int64_t> taken(at(threads), 0);
+    const auto work = [&](int index) {
+      Search search(p, reference, options.aim,
+                    options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
+      SearchLimits own = limits;
+      if (budget > 0)
+        own.max_evaluations = std::max<std::int64_t>(1, budget / threads);
+      else if (threads > 1)  // what depends on who is faster is for those who set no budget
+        own.exchange = [&](Incumbents& best) {
+          const Lock lock(shared.mutex);
+          add_all(shared.of_thread, best);
+        };
+      search.run(own, hint, keep, [&](const Candidate& c) {
+        const Lock lock(shared.mutex);
+        if (shared.first_ms == 0) shared.first_ms = elapsed() * 1e3;
+        shared.of_thread[at(index)] = search.found();
+        const bool better = shared.best.improved_by(c.figures);
+        shared.best.add(c);
+        if (better && options.on_progress)
+          options.on_progress({elapsed(), p.deadlines ? c.figures.largest : 0,
+                               c.figures.sum / (p.deadlines ? 1 : static_cast<double>(p.scale)),
+                               evaluations + search.evaluations()});
+      });
+      taken[at(index)] = search.evaluations();
+    };
+    Threads pool;
+    int started = 1;
+    while (started < threads && pool.start([&work, started] { work(started); })) ++started;
+    work(0);
+    // The answer to a budget depends on all of them, wherever they run.
+    for (; started < threads && budget > 0; ++started) work(started);
+    pool.join();
+    for (const std::int64_t e : taken) evaluations += e;
+    const Lock lock(shared.mutex);
+    first_ms = shared.first_ms;
+    Incumbents found(p, reference, options.aim);
+    add_all(shared.of_thread, found);
+    return found;
+  }
+};
+
 }  // namespace
 
 Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
@@ -175,7 +293,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   for_bounds.deadline =
       std::min(until.deadline, began + std::chrono::duration_cast<SteadyTime::duration>(
                                            std::chrono::duration<double>(limit * kForFirstBounds)));
-  const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
+  std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
   for (const Tick t : reference) answer.lower_bound_us.push_back(us_above(p, t));
 
   // The last of the time is for finer bounds.
@@ -199,48 +317,45 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     to_finish.deadline += std::chrono::duration_cast<SteadyTime::duration>(
         std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
 
-  const int threads = std::clamp(options.threads, 1, kMostThreads);
-  Shared shared{{}, Incumbents(p, reference, options.aim), {}};
-  {
-    const Lock lock(shared.mutex);
-    shared.of_thread.assign(at(threads), shared.best);
-  }
-  std::vector<std::int64_t> evaluations(at(threads), 0);
-  const auto work = [&](int index) {
-    Search search(p, reference, options.aim,
-                  options.seed * kSeedsOfRun + static_cast<std::uint64_t>(index));
-    SearchLimits limits{for_search, to_finish, 0, for_least, {}};
+  // First the plans of one release, each with its order; then what has none.
+  std::vector<Seed> seeds = seeds_of(app, platform, p, options, limit);
+  Round round{app, options, elapsed, {for_search, to_finish, 0, for_least, {}}, 0, 0};
+  std::optional<Incumbents> planned;
+  const Seed* seed = nullptr;
+  for (const Seed& one : seeds) {
+    Round brief = round;
+    brief.limits.until = brief.limits.least_until = part_of(for_search, kForPlans);
     if (options.max_evaluations > 0)
-      limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
-    else if (threads > 1)  // what depends on who is faster is for those who set no budget
-      limits.exchange = [&](Incumbents& best) {
-        const Lock lock(shared.mutex);
-        add_all(shared.of_thread, best);
-      };
-    search.run(limits, options.hint, options.keep, [&](const Candidate& c) {
-      const Lock lock(shared.mutex);
-      if (!shared.best.any()) shared.first_ms = elapsed() * 1e3;
-      shared.of_thread[at(index)] = search.found();
-      const bool better = shared.best.improved_by(c.figures);
-      shared.best.add(c);
-      if (better && options.on_progress)
-        options.on_progress({elapsed(), p.deadlines ? c.figures.largest : 0,
-                             c.figures.sum / (p.deadlines ? 1 : static_cast<double>(p.scale)),
-                             search.evaluations()});
-    });
-    evaluations[at(index)] = search.evaluations();
-  };
-  Threads pool;
-  int started = 1;
-  while (started < threads && pool.start([&work, started] { work(started); })) ++started;
-  work(0);
-  // The answer to a budget depends on all of them, wherever they run.
-  for (; started < threads && options.max_evaluations > 0; ++started) work(started);
-  pool.join();
-  for (const std::int64_t e : evaluations) answer.evaluations += e;
-  const Lock lock(shared.mutex);
+      brief.budget = std::max<std::int64_t>(
+          1, static_cast<std::int64_t>(kForPlans * static_cast<double>(options.max_evaluations)));
+    Incumbents with = brief.search(one.problem, reference, &one.policy, Keep::kPlacement);
+    round.took(brief);
+    if (!with.any() || (planned && !planned->improved_by(with.best().figures))) continue;
+    planned = std::move(with);
+    seed = &one;
+  }
+  round.budget = options.max_evaluations;
+  if (planned && limit < kNoLimitS) {  // a proof may end it here
+    const std::vector<Tick> finer =
+        lower_bounds(p, app, platform, options.wishes, kMostCases, part_of(for_search, kForProof));
+    for (std::size_t c = 0; c < finer.size(); ++c) reference[c] = std::max(reference[c], finer[c]);
+  }
   Incumbents found(p, reference, options.aim);
-  add_all(shared.of_thread, found);
+  if (planned && options.keep == Keep::kNothing && at_bounds(p, planned->best(), reference)) {
+    found = *planned;
+  } else {
+    found = round.search(p, reference, options.hint, options.keep);
+    // Of equal ones that with order: it waits for jobs, and not for the clock.
+    if (planned) {
+      const Incumbents free = found;
+      found = *planned;
+      found.add(free.least());
+      found.add(free.best());
+      if (found.best().figures.chain != planned->best().figures.chain) seed = nullptr;
+    }
+  }
+  answer.evaluations = round.evaluations;
+  const Problem& of = seed == nullptr ? p : seed->problem;
   Candidate best = found.best();
   if (found.any()) {
     Until for_holds{std::max(for_search.deadline, std::chrono::steady_clock::now())};
@@ -248,10 +363,12 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
       for_holds.deadline +=
           std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(
               std::clamp(kForHolds * limit, kForHoldsAtLeastS, kForHoldsS)));
-    drop_holds(p, best.decision.xpu, best.figures.w, for_holds);
+    drop_holds(of, best.decision.xpu, best.figures.w, for_holds);
   }
   // What is left of the time makes the bounds better.
-  std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
+  std::vector<Tick> finer = reference;
+  if (!found.any() || !at_bounds(p, found.best(), reference))
+    finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
   for (std::size_t c = 0; c < finer.size(); ++c) {
     finer[c] = std::max(finer[c], reference[c]);
     answer.lower_bound_us[c] = us_above(p, finer[c]);
@@ -273,14 +390,15 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   // Predicted times are those of one schedule; domains that share XPUs have none in common.
   const bool predicted =
       p.domains.size() == 1 && !p.any_urgent &&
-      predict(p, best.decision.xpu, best.figures.w, best.figures.schedule, to_finish);
-  answer.policy = policy_of(app, platform, p, best, predicted, answer.lower_bound_us);
+      predict(of, best.decision.xpu, best.figures.w, best.figures.schedule, to_finish);
+  answer.policy = policy_of(app, platform, of, best, predicted, answer.lower_bound_us);
+  if (seed != nullptr) answer.policy.order = seed->policy.order;
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
   answer.totals = totals_of(app, chain_us);
   answer.least_largest = std::min(answer.totals.largest, found.least().figures.largest / unit);
   answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
-  answer.first_answer_ms = shared.first_ms;
+  answer.first_answer_ms = round.first_ms;
   if (options.hint != nullptr)
     for (int i = 0; i < p.num_xnodes; ++i) {
       const int was = options.hint->placements[at(i)].xpu;
