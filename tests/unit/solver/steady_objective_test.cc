@@ -98,6 +98,37 @@ TEST(SteadyObjective, TheMixIsNearTheLeastLargestAndBelowItsSum) {
   EXPECT_GT(sum.largest, mix.largest);
 }
 
+TEST(SteadyObjective, NoMixIsWorseThanItsHint) {
+  int asked = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    solver::test::Dice dice(seed);
+    SteadyShape shape;
+    shape.max_components = 4;
+    AppSpec app = random_steady_app(dice, shape);
+    const Platform platform = random_steady_platform(dice);
+    for (ChainSpec& chain : app.chains) chain.deadline_us = 60 + 40 * dice.roll(0, 5);
+    Options options;
+    options.time_limit_s = 60;
+    options.max_evaluations = 1500;
+    const auto before = solve(app, platform, options);
+    ASSERT_TRUE(before) << seed;
+    if (before->outcome != Outcome::kPolicy || before->totals.largest > 1) continue;
+    ++asked;
+    options.hint = &before->policy;
+    options.seed = 9;
+    for (const std::int64_t evaluations : {1, 40}) {
+      options.max_evaluations = evaluations;
+      const auto after = solve(app, platform, options);
+      ASSERT_TRUE(after && after->outcome == Outcome::kPolicy) << seed;
+      EXPECT_LE(after->totals.largest, 1) << seed;
+      // Unless a largest was found that puts the hint above the limit.
+      if (before->totals.largest <= kWithin * after->least_largest)
+        EXPECT_LE(after->totals.sum, before->totals.sum * (1 + 1e-12)) << seed;
+    }
+  }
+  EXPECT_GT(asked, 15);
+}
+
 TEST(SteadyObjective, TheSumDoesNotForgetDeadlines) {
   // By the sum alone the short chains would go first, and the long one, which is urgent, late.
   AppSpec app;
