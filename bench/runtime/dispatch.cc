@@ -132,7 +132,7 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
   const Topic<int> source("source");
   app.name = session.app.name = "bench";
   app.sources.push_back(
-      {*detail::topic_spec(source), std::chrono::microseconds(1000),
+      {*detail::topic_spec(source), Period{1000},
        [&](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
          const std::int64_t now = now_ns();
          if (k > rounds / 10) samples.add(now - last);  // warm by then
