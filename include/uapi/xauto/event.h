@@ -72,8 +72,7 @@
 #define XAUTO_DROP_DIED 4     /* the process of the module died */
 #define XAUTO_DROP_HUNG 5     /* an XNode ran past its hang limit and was given up */
 #define XAUTO_DROP_OFF 6      /* none: the release's table has the module off */
-#define XAUTO_DROP_SKIPPED \
-  7 /* none: told to skip what comes while it, or one before, is busy; or a change drains */
+#define XAUTO_DROP_SKIPPED 7  /* none: skipped as was told, or a change of tables drains */
 
 #define XAUTO_EV_NONE 0xffff /* xnode, module, xpu: not applicable */
 
@@ -89,14 +88,14 @@
  * @stamp:  of the slot in the ring (lib/trace/trace.h), zero elsewhere
  */
 struct xauto_event {
-  __u64 ts_ns;
-  __u64 seq;
-  __u16 xnode;
-  __u16 module;
-  __u16 xpu;
-  __u16 kind;
-  __u32 arg;
-  __u32 stamp;
+	__u64 ts_ns;
+	__u64 seq;
+	__u16 xnode;
+	__u16 module;
+	__u16 xpu;
+	__u16 kind;
+	__u32 arg;
+	__u32 stamp;
 };
 
 #endif /* _UAPI_XAUTO_EVENT_H */
