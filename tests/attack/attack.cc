@@ -57,8 +57,8 @@ struct Path {
 
 class World {
  public:
-  World(const AppSpec& app, const Platform& platform, const KeyPolicy& policy)
-      : app_(app), platform_(platform), policy_(policy) {
+  World(const AppSpec& app, const Platform& platform, const KeyPolicy& policy, Early early)
+      : app_(app), platform_(platform), policy_(policy), early_(early) {
     for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
     const std::size_t n = app.xnodes.size();
     group_.resize(n);
@@ -164,7 +164,8 @@ class World {
       start = std::max(start, atoms(p.hold_us[at(k) % p.hold_us.size()]) - sooner);
     for (std::size_t u = 0; u < edges_out_.size(); ++u)
       for (const auto& [v, transfer] : edges_out_[u])
-        if (at(v) == i) start = std::max(start, planned(u, k, urgent) + transfer);
+        if (at(v) == i && early_ != Early::kFromItsHold)
+          start = std::max(start, planned(u, k, urgent) + transfer);
     return start;
   }
   [[nodiscard]] std::int64_t period(std::size_t i) const { return period_[at(group_[i])]; }
@@ -203,6 +204,7 @@ class World {
   const AppSpec& app_;
   const Platform& platform_;
   const KeyPolicy& policy_;
+  Early early_;
   std::int64_t scale_ = 1;
   std::vector<int> group_;                   ///< [xnode] least XNode of its component
   std::vector<std::int64_t> base_, period_;  ///< [that] 1/scale us
@@ -362,9 +364,13 @@ class Run {
     const Xpu& xpu = w_.platform_.xpus[m];
     for (std::size_t x = 0; x < jobs_.size(); ++x)
       if (x != i && at(w_.policy_.placements[x].xpu) == m &&
-          (!xpu.preemptive || xpu.preempt_us > 0) &&
-          !ended(x, [&](const Job& other) { return other.key <= job.key; }))
+          (!xpu.preemptive || xpu.preempt_us > 0) && !ended(x, [&](const Job& other) {
+            const bool released = other.release <= now_;
+            if (w_.early_ == Early::kByTheSequence) return released && other.planned < job.planned;
+            return other.key <= job.key && (released || w_.early_ != Early::kOfTheReleased);
+          }))
         return false;
+    if (w_.early_ == Early::kWithoutSamples) return true;
     for (const auto& [u, v] : w_.app_.samples)
       if (at(v) == i && !ended(at(u), [&](const Job& other) {
             return (w_.clock(at(u)) == w_.clock(i) ? other.key : other.release + 1) <= job.planned;
@@ -376,8 +382,9 @@ class Run {
   void look(int i, std::int64_t k) {
     Job& job = jobs_[at(i)][at(k)];
     if (job.waits > 0 || job.queued) return;
-    if (now_ < job.planned && (f_.early[at(i)][at(k)] == 0 || !may_start_early(at(i), job))) {
-      if (f_.early[at(i)][at(k)] > 0) early_.emplace_back(i, k);
+    const bool may = f_.early[at(i)][at(k)] > 0 && w_.early_ != Early::kNever;
+    if (now_ < job.planned && (!may || !may_start_early(at(i), job))) {
+      if (may) early_.emplace_back(i, k);
       return;
     }
     job.queued = true;
@@ -706,7 +713,7 @@ class Climb {
 
 Found attack(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
              const Options& options) {
-  const World w(app, platform, policy);
+  const World w(app, platform, policy, options.early);
   return Climb(w, options).go();
 }
 
