@@ -596,10 +596,41 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
   return outputs.status(kDone);
 }
 
+/// Of a policy that is not certified.
+Result<int> check_places(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                         const std::string& path, const std::vector<std::string>& broken,
+                         const Options& options) {
+  const Status stated = steady::check_places(app, platform, policy);
+  if (!stated && stated.error().code != ErrorCode::kInfeasible)
+    return tl::unexpected<Error>(stated.error());
+  const int status = stated && broken.empty() ? kDone : kAnswerIsNo;
+  if (options.json) {
+    Json root = {{"schema", "xauto.check"},        {"version", 2},
+                 {"truthful", stated.has_value()}, {"certified", false},
+                 {"lies", Json::array()},          {"missed", broken},
+                 {"proofs", Json::array()},        {"chains", Json::array()}};
+    if (!stated) root["lies"].push_back(stated.error().to_string());
+    std::cout << root.dump(2) << "\n";
+  } else if (!stated) {
+    std::cout << "  LIE    " << stated.error().to_string() << "\n\n" << path << " lies.\n";
+  } else {
+    for (const std::string& wish : broken) std::cout << "  MISSED " << wish << "\n";
+    std::cout
+        << fmt::format(
+               "  shown: it is for this app, each of {} XNodes is where it has an "
+               "implementation, and {} pairs of order leave a way through\n\n"
+               "{} states nothing false. It is not certified: nothing is claimed of any time.\n",
+               app.xnodes.size(), policy.order.size(), path)
+        << words_of_missed(broken);
+  }
+  return status;
+}
+
 Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
                            const solver::Objectives& asked, const Options& options) {
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
+  if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
   const auto report = steady::check(app, platform, policy);
   if (!report && report.error().code != ErrorCode::kInfeasible)
     return tl::unexpected<Error>(report.error());
@@ -690,50 +721,58 @@ Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, cons
   table += fmt::format("\n  {:<24}{:>14}{:>14}{:>14}{:>14}{:>10}\n", "chain", "median", "99 %",
                        "longest seen", "worst case", "releases");
   bool exceeded = false;
+  const auto worst = [](const std::optional<std::int64_t>& claimed_us) {
+    return claimed_us ? exact_ms(*claimed_us) : "-";
+  };
   for (const steady::PlayedChain& chain : played.chains) {
     exceeded = exceeded || chain.exceeded();
     Json entry = {{"name", chain.name},
                   {"median_us", chain.median_us},
                   {"p99_us", chain.p99_us},
                   {"longest_us", chain.longest_us},
-                  {"worst_case_us", chain.claimed_us},
                   {"releases", chain.releases}};
+    if (chain.claimed_us) entry["worst_case_us"] = *chain.claimed_us;
     const auto seen = [&](double us) { return chain.releases > 0 ? ms_of(us) : "-"; };
     table += fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>14}{:>10}\n", chain.name,
                          seen(chain.median_us), seen(chain.p99_us), seen(chain.longest_us),
-                         exact_ms(chain.claimed_us), chain.releases);
+                         worst(chain.claimed_us), chain.releases);
     if (chain.urgent > 0) {
-      entry["urgent"] = {{"longest_us", chain.longest_urgent_us},
-                         {"worst_case_us", chain.claimed_urgent_us},
-                         {"releases", chain.urgent}};
+      Json urgent = {{"longest_us", chain.longest_urgent_us}, {"releases", chain.urgent}};
+      if (chain.claimed_urgent_us) urgent["worst_case_us"] = *chain.claimed_urgent_us;
+      entry["urgent"] = std::move(urgent);
       table +=
           fmt::format("  {:<52}{:>14}{:>14}{:>10}\n", "  urgent", ms_of(chain.longest_urgent_us),
-                      exact_ms(chain.claimed_urgent_us), chain.urgent);
+                      worst(chain.claimed_urgent_us), chain.urgent);
     }
     chains.push_back(std::move(entry));
   }
   table +=
       fmt::format("\n  {} on {}: {} jobs in {} s, {} late, {} times one was suspended\n", app.name,
                   platform.name, played.jobs, asked.seconds, played.late, played.suspended);
-  if (!played.first_late.empty()) table += "  " + played.first_late + "\n";
+  if (!policy.certified)
+    table +=
+        "  nothing is claimed: the policy is not certified, and its keys only say who goes first\n";
+  else if (!played.first_late.empty())
+    table += "  " + played.first_late + "\n";
   if (played.backlog) table += "  the backlog grew: this policy does not keep up\n";
-  const std::string result = Json{{"schema", "xauto.simulation"},
-                                  {"version", 2},
-                                  {"app", app.name},
-                                  {"platform", platform.name},
-                                  {"seconds", asked.seconds},
-                                  {"seed", asked.seed},
-                                  {"jobs", played.jobs},
-                                  {"late", played.late},
-                                  {"suspended", played.suspended},
-                                  {"backlog", played.backlog},
-                                  {"xnodes", std::move(xnodes)},
-                                  {"chains", std::move(chains)}}
-                                 .dump(2) +
-                             "\n";
+  Json told = {{"schema", "xauto.simulation"},
+               {"version", 2},
+               {"app", app.name},
+               {"platform", platform.name},
+               {"seconds", asked.seconds},
+               {"seed", asked.seed},
+               {"jobs", played.jobs},
+               {"late", played.late},
+               {"suspended", played.suspended},
+               {"backlog", played.backlog},
+               {"xnodes", std::move(xnodes)},
+               {"chains", std::move(chains)}};
+  if (!policy.certified) told["certified"] = false;
+  const std::string result = told.dump(2) + "\n";
   std::cout << (options.json ? result : table);
   outputs.write(out, result);
-  return outputs.status(exceeded || played.late > 0 || played.backlog ? kAnswerIsNo : kDone);
+  const bool late = policy.certified && played.late > 0;
+  return outputs.status(exceeded || late || played.backlog ? kAnswerIsNo : kDone);
 }
 
 }  // namespace xauto::cli
