@@ -140,7 +140,12 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
         p.finish_us = read_series(x, "finish_us", false);
       });
   if (root.has("order")) policy.order = read_pairs(root["order"], index_by_name(app.xnodes));
-  read_claims(root, app, policy);
+  if (root.has("certified")) policy.certified = root["certified"].boolean();
+  if (policy.certified)
+    read_claims(root, app, policy);
+  else if (root.has("chains"))
+    root["chains"].refuse("claims something, and the policy is not certified",
+                          "nothing is claimed of what no proof is known of: solve again");
   return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
 }
 
@@ -231,7 +236,10 @@ std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform&
   if (!policy.order.empty())
     document["order"] = pairs_to_json(
         policy.order, [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; });
-  document["chains"] = ordered_json::array();
+  if (policy.certified)
+    document["chains"] = ordered_json::array();
+  else
+    document["certified"] = false;
   for (const ChainClaim& c : policy.chains) {
     document["chains"].push_back({{"name", c.name},
                                   {"worst_case_us", c.worst_case_us},

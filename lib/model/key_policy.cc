@@ -78,6 +78,10 @@ class Validation {
   }
 
   [[nodiscard]] Status chains() const {
+    if (!policy_.certified)
+      return policy_.chains.empty()
+                 ? Status()
+                 : invalid("claims something, and it is not certified", "/chains", kHint);
     if (policy_.chains.size() != app_.chains.size())
       return invalid("has " + std::to_string(policy_.chains.size()) + " chains, the app has " +
                          std::to_string(app_.chains.size()),
@@ -115,8 +119,9 @@ class Validation {
   [[nodiscard]] const std::string& type(int i) const {
     return platform_.xpus[at(policy_.placements[at(i)].xpu)].type;
   }
+  /// What a job has to have time for before its key: nothing where no key is a claim.
   [[nodiscard]] std::int64_t wcet(std::size_t i) const {
-    return app_.xnodes[i].wcet_on(type(static_cast<int>(i))).value_or(0);
+    return !policy_.certified ? 0 : app_.xnodes[i].wcet_on(type(static_cast<int>(i))).value_or(0);
   }
 
   [[nodiscard]] Status on_an_xpu(std::size_t i) const {

@@ -44,17 +44,21 @@ struct ChainClaim {
   bool operator==(const ChainClaim&) const = default;
 };
 
+/// The best that was found is a policy too where nothing can be certified. Then it only says who goes first: no chain
+/// has a claim, and no job is said to end by its key.
 struct KeyPolicy {
   std::string app;       ///< AppSpec::name
   std::string app_hash;  ///< AppSpec::hash()
   std::string platform;  ///< Platform::name, for people
   std::string method;
   std::vector<KeyPlacement> placements;  ///< one per AppSpec::xnodes entry, same order
-  std::vector<ChainClaim> chains;        ///< one per AppSpec::chains entry, same order
+  std::vector<ChainClaim>
+      chains;  ///< one per AppSpec::chains entry, same order; none where it is not certified
   std::int64_t solve_ms = 0;
   /// Pairs (u, v) of XNodes on one XPU that are released together (released_together): v of an activation is not
   /// started before u of it has ended. A pair does what an edge does, without a message.
   std::vector<std::pair<int, int>> order = {};
+  bool certified = true;  ///< false: nothing is claimed
   bool operator==(const KeyPolicy&) const = default;
 };
 
@@ -63,7 +67,7 @@ struct KeyPolicy {
 /// its activations per hyperperiod. Each job fits between being ready (hold; a root: offset and
 /// jitter; otherwise: its predecessors' keys and the transfers) and its key. Key plus nominal
 /// release does not fall from one activation to the next. Order pairs leave a way through, and to keys as edges
-/// do. Every chain of the app has a claim.
+/// do. Every chain of the app has a claim; of a policy that is not certified none has, and its keys need no room for WCETs.
 [[nodiscard]] Status validate(const KeyPolicy& policy, const AppSpec& app,
                               const Platform& platform);
 

@@ -175,7 +175,7 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
 /// By jobs within one WCET each.
 bool claims_worst_case(const Session& session) {
   if (session.scheduling != Scheduling::kXAuto || session.tables) return false;
-  return session.keys || session.policy.worst_case_us;
+  return session.keys ? session.keys->certified : session.policy.worst_case_us.has_value();
 }
 
 }  // namespace
@@ -231,6 +231,10 @@ Limits Placing::limits_of(const Session& session, const AppSpec& app, const Grap
 void Placing::compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
                                        const Graph& graph) {
   if (session.scheduling != Scheduling::kXAuto) return;
+  if (session.keys && !session.keys->certified) {
+    log::warn("nothing is claimed of this run: its policy is not certified");
+    return;
+  }
   if (session.keys) {
     for (std::string& line : unkept_of_keys(session)) unkept.push_back(std::move(line));
     for (std::string& line : unkept_by_xpus(session)) unkept.push_back(std::move(line));

@@ -37,7 +37,16 @@ Status compare(const ChainClaim& claim, ChainProof& proof) {
 
 }  // namespace checking
 
+Status check_places(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  XAUTO_ASSIGN([[maybe_unused]] const checking::World w,
+               checking::structure(app, platform, policy, false));
+  return {};
+}
+
 Result<CheckReport> check(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  if (!policy.certified)
+    return fail(ErrorCode::kInvalid, "is not certified: it claims nothing that could be derived",
+                "policy", "`xauto solve` says what would make it certified");
   XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy));
   if (policy.chains.size() != app.chains.size())
     return fail(ErrorCode::kInvalid,

@@ -61,7 +61,13 @@ struct CheckReport {
   std::vector<ChainProof> chains;
 };
 
+/// kInvalid, too, of a policy that is not certified: it claims nothing that could follow.
 [[nodiscard]] Result<CheckReport> check(const AppSpec& app, const Platform& platform,
                                         const KeyPolicy& policy);
+
+/// What a policy states that is not certified: it is for this app, each XNode is where it can run, and its order leaves
+/// a way through. Nothing of times.
+[[nodiscard]] Status check_places(const AppSpec& app, const Platform& platform,
+                                  const KeyPolicy& policy);
 
 }  // namespace xauto::solver::steady

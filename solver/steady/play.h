@@ -11,6 +11,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -44,17 +45,17 @@ struct PlayedXNode {
 
 struct PlayedChain {
   std::string name;
-  std::int64_t releases = 0;         ///< whose latency was seen
-  double longest_us = 0;             ///< reduced reaction time
-  double median_us = 0, p99_us = 0;  ///< of the same; 0: none was seen
-  std::int64_t claimed_us = 0;
-  std::int64_t urgent = 0;  ///< of `releases`
+  std::int64_t releases = 0;                    ///< whose latency was seen
+  double longest_us = 0;                        ///< reduced reaction time
+  double median_us = 0, p99_us = 0;             ///< of the same; 0: none was seen
+  std::optional<std::int64_t> claimed_us = {};  ///< none: the policy is not certified
+  std::int64_t urgent = 0;                      ///< of `releases`
   double longest_urgent_us = 0;
-  std::int64_t claimed_urgent_us = 0;  ///< 0: none may be
+  std::optional<std::int64_t> claimed_urgent_us = {};  ///< none also where no release may be
 
   [[nodiscard]] bool exceeded() const {
-    return longest_us > static_cast<double>(claimed_us) ||
-           longest_urgent_us > static_cast<double>(claimed_urgent_us);
+    return (claimed_us && longest_us > static_cast<double>(*claimed_us)) ||
+           (claimed_urgent_us && longest_urgent_us > static_cast<double>(*claimed_urgent_us));
   }
 };
 

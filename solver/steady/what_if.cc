@@ -41,6 +41,17 @@ void scale(AppSpec& app, const std::string& type, std::int64_t percent) {
 
 }  // namespace
 
+Result<AppSpec> with_period(const AppSpec& app, int source, Period period) {
+  AppSpec changed = app;
+  XAUTO_ASSIGN(const Components parts, find_components(app));
+  changed.sources[at(source)].period = period;
+  for (const xauto::Component& c : parts.components)
+    if (std::ranges::count(c.sources, source) > 0)
+      for (const int other : c.sources) changed.sources[at(other)].period = period;
+  XAUTO_TRY(validate(changed));
+  return changed;
+}
+
 Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
                       const std::string& text, const Options& options) {
   const auto refuse = [&](const char* what) {
@@ -77,19 +88,11 @@ Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const KeyPol
   if (source == changed.sources.end()) return refuse("the app has no source of this name");
   const auto period = Period::of_rate(value);
   if (!period) return tl::unexpected<Error>(period.error());
-  // Its component has one period: all of its sources change.
-  const Period before = source->period;
-  XAUTO_ASSIGN(const Components parts, find_components(app));
-  const int s = static_cast<int>(source - changed.sources.begin());
-  for (const xauto::Component& c : parts.components)
-    if (std::ranges::count(c.sources, s) > 0)
-      for (const int other : c.sources)
-        changed.sources[static_cast<std::size_t>(other)].period = *period;
-  source->period = *period;
-  if (before == *period) return refuse("it has this rate");
+  if (source->period == *period) return refuse("it has this rate");
   if (source->offset_us * period->den >= period->num)
     return refuse("the source's offset is not below that period");
-  XAUTO_TRY(validate(changed));
+  XAUTO_ASSIGN(changed,
+               with_period(app, static_cast<int>(source - changed.sources.begin()), *period));
   return ask(changed, platform, policy, name + " at " + value + " Hz", options);
 }
 

@@ -17,6 +17,9 @@ struct WhatIf {
   std::vector<std::int64_t> worst_case_us;  ///< [chain], kPolicy
 };
 
+/// The app with another period of this source; its component has one, so all of its sources change.
+[[nodiscard]] Result<AppSpec> with_period(const AppSpec& app, int source, Period period);
+
 /// `text`: SOURCE=HZ (as `rate_hz`), TYPE=PERCENT% (all WCETs there), or +TYPE (one more like the
 /// first of them). The search begins with `policy`. kInvalid: none of these.
 [[nodiscard]] Result<WhatIf> assume(const AppSpec& app, const Platform& platform,

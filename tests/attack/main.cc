@@ -93,7 +93,7 @@ Result<double> played(const Case& c, std::uint64_t seed, std::int64_t& jobs, std
   bad = report.first_late;
   double fullest = 0;
   for (const auto& chain : report.chains) {
-    fullest = std::max(fullest, chain.longest_us / static_cast<double>(chain.claimed_us));
+    fullest = std::max(fullest, chain.longest_us / static_cast<double>(*chain.claimed_us));
     if (chain.exceeded()) bad += " chain " + chain.name;
   }
   return fullest;

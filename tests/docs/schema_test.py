@@ -232,7 +232,9 @@ def test_what_the_tools_write_is_valid():
             source["rate_hz"] = 200
         (folder / "crowded.json").write_text(json.dumps(crowded))
         printed = xauto("solve", "--app", "crowded.json", "--platform", "small", "--json", cwd=folder).stdout
-        check("unsustainable", json.loads(printed), "solve")
+        told = json.loads(printed)
+        check("uncertified", told, "solve")
+        check("policy-2", told["policy"], "solve")
         written("report", "run", "--app", APP, "--platform", "small", "--policy", "p.json", "--emulate",
                 "--lockstep", "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
         written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2, "--out",

@@ -173,6 +173,28 @@ class Keys(unittest.TestCase):
         self.assertIn("each release waits for the one before (--lockstep)", report["worst_case_broken"])
         self.assertIn("do not hold in this run", done.stderr)
 
+    def test_a_policy_that_is_not_certified_runs_and_is_held_against_nothing(self):
+        app = json.loads(json.dumps(self.app))
+        for xnode in app["xnodes"]:
+            xnode["wcet_us"] = {kind: 4 * us for kind, us in xnode["wcet_us"].items()}
+            xnode.pop("typical_us", None)
+        crowded, policy = self.folder / "crowded.json", self.folder / "crowded.policy.json"
+        crowded.write_text(json.dumps(app))
+        solved = xauto("solve", "--app", crowded, "--platform", "small", "--max-evaluations", 1000, "--threads", 1,
+                       "--time-limit-s", 60, "--out", policy)
+        self.assertEqual(solved.returncode, 1, solved.stdout + solved.stderr)
+        self.assertIs(json.loads(policy.read_text())["certified"], False)
+        done = self.run_app("--policy", policy, "--seconds", 2, app=crowded)
+        self.assertIn("nothing is claimed of this run", done.stderr)
+        report = json.loads(done.stdout)["runs"][0]
+        self.assertIs(report["certified"], False)
+        self.assertNotIn("worst_case_exceeded", report)
+        for chain in report["chains"]:
+            self.assertGreater(chain["results"], 10, chain)
+            self.assertFalse({"worst_case_us", "exceeded"} & set(chain), chain)
+        refused = self.run_app("--policy", policy, "--seconds", 1, "--fail-on", "claim", app=crowded, status=2)
+        self.assertIn("nothing is claimed: the policy is not certified", refused.stderr)
+
     def test_in_lockstep_the_time_between_releases_is_no_measurement(self):
         for flags in ((), ("--isolate",)):
             run = json.loads(self.run_app("--lockstep", "--activations", 4, *flags).stdout)["runs"][0]

@@ -38,6 +38,14 @@ class Periodic(unittest.TestCase):
         return self.run_tool("solve", "--app", "app.json", "--max-evaluations", 2000, "--threads", 1, "--time-limit-s", 60,
                              "--out", "policy.json", *more, status=status)
 
+    def certified(self):
+        """Late or not: what solve prints of a certified policy."""
+        self.write("app.json", self.app)
+        told = json.loads(xauto("solve", "--app", "app.json", "--platform", self.platform, "--max-evaluations", 2000,
+                                "--threads", 1, "--time-limit-s", 60, "--json", cwd=self.folder).stdout)
+        self.assertEqual(told["schema"], "xauto.policy")
+        return told
+
     def policy(self):
         return json.loads((self.folder / "policy.json").read_text())
 
@@ -112,10 +120,62 @@ class Periodic(unittest.TestCase):
                 xnode["wcet_us"] = {"cpu": 45000}
         result = self.solve("--json", status=1)
         told = json.loads(result.stdout)
-        self.assertEqual(told["schema"], "xauto.unsustainable")
+        self.assertEqual((told["schema"], told["outcome"]), ("xauto.uncertified", "unsustainable"))
         self.assertIn("mpc", result.stdout)
-        self.assertFalse((self.folder / "policy.json").exists())
-        self.assertIn("no policy keeps up", self.solve(status=1).stdout)
+        said = self.solve(status=1).stdout
+        for words in ("no policy keeps up", "nothing is claimed of it", "written to policy.json"):
+            self.assertIn(words, said)
+
+    def test_where_nothing_is_certified_there_is_a_policy_without_claims(self):
+        for xnode in self.app["xnodes"]:
+            if xnode["name"] == "mpc":
+                xnode["wcet_us"] = {"cpu": 45000}
+        told = json.loads(self.solve("--json", "--assume", "tick=10", status=1).stdout)
+        self.assertEqual(self.policy()["xnodes"], told["policy"]["xnodes"])
+        self.assertIs(self.policy()["certified"], False)
+        self.assertNotIn("chains", self.policy())
+        self.assertEqual([what["change"] for what in told["what_if"]], ["tick at 10 Hz"])
+        checked = self.check()
+        self.assertEqual((checked["truthful"], checked["certified"], checked["chains"]), (True, False, []))
+        said = self.run_tool("check", "--app", "app.json", "--policy", "policy.json").stdout
+        self.assertIn("nothing is claimed of any time", said)
+        played = json.loads(self.run_tool("simulate", "--app", "app.json", "--policy", "policy.json", "--json").stdout)
+        self.assertIs(played["certified"], False)
+        self.assertFalse(any("worst_case_us" in chain for chain in played["chains"]))
+        refused = xauto("explain", "--app", "app.json", "--policy", "policy.json", "--platform", self.platform, cwd=self.folder)
+        self.assertEqual(refused.returncode, 2)
+        self.assertIn("is not certified: it claims nothing that could be derived", refused.stderr)
+        # A claim that is written into it is refused.
+        policy = self.policy()
+        policy["chains"] = [{"name": c["name"], "worst_case_us": 1, "lower_bound_us": 1, "optimal": True}
+                            for c in self.app["chains"]]
+        self.write("policy.json", policy)
+        refused = xauto("check", "--app", "app.json", "--policy", "policy.json", "--platform", self.platform, cwd=self.folder)
+        self.assertEqual(refused.returncode, 2)
+        self.assertIn("claims something, and the policy is not certified", refused.stderr)
+
+    def test_with_the_margin_that_is_suggested_the_same_app_is_certified(self):
+        for xnode in self.app["xnodes"]:
+            if xnode["name"] == "mpc":
+                xnode["wcet_us"] = {"cpu": 45000}
+        told = json.loads(self.solve("--json", status=1).stdout)
+        margin = next(r["wcets_pct"] for r in told["remedies"] if "wcets_pct" in r)
+        self.assertLess(margin, told["overloaded_pct"])
+        whole = json.loads(json.dumps(self.app))
+        for xnode in self.app["xnodes"]:
+            xnode["wcet_us"] = {t: -(-us * margin // 100) for t, us in xnode["wcet_us"].items()}
+            xnode.pop("typical_us", None)
+            xnode.pop("variants", None)
+        answer = self.certified()
+        self.assertNotIn("certified", answer)
+        self.app = whole
+        rates = [r for r in told["remedies"] if "source" in r]
+        for remedy in rates[:1]:
+            for source in self.app["sources"]:
+                if source["name"] == remedy["source"]:
+                    source.pop("period_us", None)
+                    source["rate_hz"] = remedy["rate_hz"]
+            self.assertNotIn("certified", self.certified())
 
     def refused(self, xnodes, *more, edges=()):
         """App of one source of 100 ms on two CPUs and a GPU that keeps up with nothing: what solve tells."""
@@ -125,7 +185,7 @@ class Periodic(unittest.TestCase):
                     "edges": list(edges),
                     "xnodes": [{"module": x["name"], "source": "s"} | x for x in xnodes]}
         told = json.loads(self.solve("--json", *more, status=1).stdout)
-        self.assertEqual(told["schema"], "xauto.unsustainable")
+        self.assertEqual((told["schema"], told["outcome"]), ("xauto.uncertified", "unsustainable"))
         self.assertIn("no policy keeps up", self.solve(*more, status=1).stdout)
         return told
 

@@ -75,6 +75,9 @@ Status check_gate(const RunFlags& flags, const PolicyRun& run) {
                    [&](const auto& m) { return limited(m.second); }))
     return fail(ErrorCode::kInvalid, "no XNode has a limit past which it hangs", "--fail-on hang",
                 "give `hang_us` or `hang_pct` in the deployment");
+  if (asks(flags, "claim") && run.scheduling == runtime::Scheduling::kXAuto && claims_nothing(run))
+    return fail(ErrorCode::kInvalid, kClaimsNothing, "--fail-on claim",
+                "leave it out, or run a certified policy");
   const bool claimed =
       run.keys || run.tables || (run.policy && run.policy->worst_case_us.has_value());
   if (asks(flags, "claim") && (run.scheduling != runtime::Scheduling::kXAuto || !claimed))

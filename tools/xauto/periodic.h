@@ -12,8 +12,8 @@
 
 namespace xauto::cli {
 
-/// `asked.wishes` are filled in; the policy goes to `out`, if there is one. Status 1: none keeps up,
-/// or a deadline is missed.
+/// `asked.wishes` are filled in; the policy goes to `out`, if there is one. Status 1: a
+/// deadline is missed, or nothing is certified: then the policy is the best that was found, without claims.
 /// `assume`: changes whose effect is told (solver/steady/what_if.h).
 [[nodiscard]] Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                                          const solver::steady::Options& asked,

@@ -89,6 +89,7 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
                        "", "", "", u.count);
   }
   if (claims) out += fmt::format("\n  {}: {}\n", run.name, to_string(*claims, Layout::kList));
+  if (claims_nothing(run)) out += fmt::format("\n  {}: {}\n", run.name, kClaimsNothing);
   return out;
 }
 
@@ -395,6 +396,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         j["worst_case_exceeded"] = claims->exceeded;
         j["worst_case_broken"] = claims->broken;
       }
+      if (claims_nothing(run)) j["certified"] = false;
       if (const auto worst = worst_case_of(run)) {
         j["worst_case_us"] = worst->us;
         j["worst_case_of"] = kWorstCaseScope;
@@ -637,7 +639,8 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   if (run.policy && !run.keys)  // keys are no priorities
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
-  if (run.keys && run.scheduling == runtime::Scheduling::kXAuto) {
+  // No window ends with a key that is no claim.
+  if (run.keys && run.keys->certified && run.scheduling == runtime::Scheduling::kXAuto) {
     scene.keys = &*run.keys;
     scene.claims = run.keys->chains;
   }

@@ -44,6 +44,10 @@ std::optional<WorstCase> worst_case_of(const PolicyRun& run) {
   return worst;
 }
 
+bool claims_nothing(const PolicyRun& run) {
+  return run.keys && !run.keys->certified;
+}
+
 std::vector<ChainClaim> claimed_chains(const PolicyRun& run) {
   if (run.keys) return run.keys->chains;
   std::vector<ChainClaim> claims;
@@ -56,7 +60,8 @@ std::vector<ChainClaim> claimed_chains(const PolicyRun& run) {
 
 std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run) {
   const std::vector<ChainClaim> claimed = claimed_chains(run);
-  if (run.scheduling != runtime::Scheduling::kXAuto || (!run.keys && claimed.empty()))
+  if (run.scheduling != runtime::Scheduling::kXAuto || claims_nothing(run) ||
+      (!run.keys && claimed.empty()))
     return std::nullopt;
   KeyClaims claims;
   claims.broken = run.report.unkept;

@@ -38,6 +38,10 @@ struct KeyClaims {
   bool exceeded = false;                ///< one of them is
   std::vector<std::string> taken = {};  ///< as WorstCase
 };
+/// Whether it goes by keys that are not certified: it is held against nothing, and says so.
+[[nodiscard]] bool claims_nothing(const PolicyRun& run);
+inline constexpr const char* kClaimsNothing =
+    "nothing is claimed: the policy is not certified (`xauto solve` says what would make it so)";
 /// What the run's policy claims of the chains of an app of version 2; of tables largest_claims(). Empty:
 /// it has no keys.
 [[nodiscard]] std::vector<ChainClaim> claimed_chains(const PolicyRun& run);

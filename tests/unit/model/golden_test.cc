@@ -87,6 +87,25 @@ TEST(Golden, PolicyOfVersion2IsWrittenAsItWasRead) {
   EXPECT_EQ(to_json(*policy, app, platform), text);
 }
 
+TEST(Golden, APolicyThatIsNotCertifiedHasNoChainsAndNoRoomForWcets) {
+  const AppSpec app = golden_app_2();
+  const Platform platform = golden_platform();
+  auto policy = parse_key_policy(slurp(golden() / "policy-2.json"), "policy-2.json", app, platform);
+  ASSERT_TRUE(policy) << policy.error().to_string();
+  policy->certified = false;
+  EXPECT_FALSE(validate(*policy, app, platform)) << "it claims something";
+  policy->chains.clear();
+  KeyPlacement& mpc = policy->placements[4];
+  mpc = {mpc.xpu, {1}};
+  ASSERT_TRUE(validate(*policy, app, platform));
+  const auto read =
+      parse_key_policy(to_json(*policy, app, platform), "policy-2.json", app, platform);
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, *policy);
+  policy->placements[1].key_us = {100};  // before fcd.pre's
+  EXPECT_FALSE(validate(*policy, app, platform)) << "keys still do not fall along edges";
+}
+
 TEST(Golden, AHintMayBeOfAnotherVersionOfTheApp) {
   const std::string text = slurp(golden() / "policy-2.json");
   AppSpec app = golden_app_2();
