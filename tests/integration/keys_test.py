@@ -86,9 +86,9 @@ class Keys(unittest.TestCase):
 
     MIXED = {"la.pre": [6000] * 3, "td.pre": [10000, 10000, 20000], "fcd.pre": [15000] * 3}
 
-    def began(self, policy, *flags):
-        """XPU -> (began, ready, key, XNode, activation) of each job, out of a run's trace; and the report."""
-        done = self.run_app("--trace-out", self.folder / "t.pftrace", *flags)
+    def began(self, policy, *flags, app=APP):
+        """XPU -> (began, ready, key, XNode, activation) of each job, out of a run's trace."""
+        done = self.run_app("--trace-out", self.folder / "t.pftrace", *flags, app=app)
         report = json.loads(done.stdout)["runs"][0]
         self.assertEqual([m["dropped"] + m["failed"] for m in report["modules"]], [0] * 9)
         trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())
@@ -118,6 +118,7 @@ class Keys(unittest.TestCase):
         for job in early:
             self.assert_early(placed, of, start, *job)
         self.assertGreaterEqual(report["early_starts"]["jobs"], len(early))
+        self.early = early
         return jobs
 
     def assert_early(self, placed, of, start, name, n, key, held, began):
@@ -175,6 +176,20 @@ class Keys(unittest.TestCase):
             self.skipTest("the machine stood still: they hardly met")
         self.assertGreater(sum(of_third), 0.8 * len(of_third))
         self.assertLess(sum(of_others), 0.2 * len(of_others))
+
+    def test_jobs_that_take_less_than_their_wcets_do_not_wait_for_holds(self):
+        app = json.loads(json.dumps(self.app))
+        for row in app["xnodes"]:
+            row["wcet_us"] = {on: us * 13 // 10 for on, us in row["wcet_us"].items()}
+        paths = [self.folder / f"slack-{name}.json" for name in ("app", "policy")]
+        paths[0].write_text(json.dumps(app))
+        done = xauto("solve", "--app", paths[0], "--platform", "small", "--max-evaluations", 3000, "--threads", 1,
+                     "--time-limit-s", 60, "--out", paths[1])
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        policy = json.loads(paths[1].read_text())
+        self.assertTrue([row for row in policy["xnodes"] if row.get("hold_us")], "nothing is held")
+        self.began(policy, "--seconds", 4, "--policy", paths[1], app=paths[0])
+        self.assertGreater(len(self.early), 20, "assert_early has judged nothing")
 
     def stages(self, module):
         return sum(x["module"] == module for x in self.app["xnodes"])
