@@ -40,6 +40,15 @@ inline void futex_wait_local(std::atomic<std::uint32_t>& word, std::uint32_t exp
           limit_ns < 0 ? nullptr : &limit, nullptr, 0);
 }
 
+/// Sleeps while `word` holds `expected`, at most until `due_ns` of CLOCK_MONOTONIC.
+inline void futex_wait_until_local(std::atomic<std::uint32_t>& word, std::uint32_t expected,
+                                   std::int64_t due_ns) {
+  const timespec until{due_ns / 1'000'000'000, due_ns % 1'000'000'000};
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word),
+          FUTEX_WAIT_BITSET | FUTEX_PRIVATE_FLAG, expected, &until, nullptr,
+          FUTEX_BITSET_MATCH_ANY);
+}
+
 inline void futex_wake_local(std::atomic<std::uint32_t>& word, int waiters) {
   syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAKE_PRIVATE, waiters, nullptr,
           nullptr, 0);

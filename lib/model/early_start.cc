@@ -17,13 +17,13 @@ std::int64_t entry(const std::vector<std::int64_t>& values, std::size_t j) {
 
 }  // namespace
 
-std::vector<std::vector<std::int64_t>> planned_starts_us(const AppSpec& app,
-                                                         const Platform& platform,
-                                                         const KeyPolicy& policy) {
+PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
+                                const KeyPolicy& policy) {
   const std::size_t n = app.xnodes.size();
-  std::vector<std::vector<std::int64_t>> with(n), without(n);
+  PlannedStarts planned{std::vector<std::vector<std::int64_t>>(n),
+                        std::vector<std::vector<std::int64_t>>(n)};
   const auto components = find_components(app);
-  if (!components) return with;
+  if (!components) return planned;
   AppSpec both;
   both.xnodes.resize(n);
   both.edges = app.edges;
@@ -38,34 +38,51 @@ std::vector<std::vector<std::int64_t>> planned_starts_us(const AppSpec& app,
   }
   std::vector<std::vector<std::size_t>> into(n);
   for (std::size_t e = 0; e < both.edges.size(); ++e) into[at(both.edges[e].second)].push_back(e);
-  std::vector<char> delayed(n, 0);
-  for (const int i : both.topological_order()) {
-    const KeyPlacement& placed = policy.placements[at(i)];
-    // Sizes divide the activations of a hyperperiod, so what they come round in does, too.
-    std::size_t size = std::max<std::size_t>(1, placed.hold_us.size());
-    for (const std::size_t e : into[at(i)])
-      size = std::lcm(size, std::max<std::size_t>(1, with[at(both.edges[e].first)].size()));
-    with[at(i)].assign(size, 0);
-    without[at(i)].assign(size, 0);
-    std::int64_t offset = 0;
+  const std::vector<int> topological = both.topological_order();
+  // Of urgent releases by how much, and who hears of them.
+  std::vector<std::int64_t> sooner(n, 0);
+  for (const int i : topological) {
     for (const int s : app.xnodes[at(i)].sources)
-      offset = std::max(offset, app.sources[at(s)].offset_us -
-                                    components->components[at(components->of[at(i)])].offset_us);
-    for (std::size_t j = 0; j < size; ++j) {
-      std::int64_t &held = with[at(i)][j], &free = without[at(i)][j];
-      free = offset;
-      held = std::max(offset, entry(placed.hold_us, j));
-      for (const std::size_t e : into[at(i)]) {
-        const std::size_t u = at(both.edges[e].first);
-        held = std::max(held, entry(with[u], j) + transfer[e]);
-        free = std::max(free, entry(without[u], j) + transfer[e]);
-      }
-      if (held > free) delayed[at(i)] = 1;
-    }
+      if (app.sources[at(s)].urgent)
+        sooner[at(i)] = std::max(sooner[at(i)], app.sources[at(s)].urgent->by_us);
+    for (const std::size_t e : into[at(i)])
+      if (e < app.edges.size())
+        sooner[at(i)] = std::max(sooner[at(i)], sooner[at(both.edges[e].first)]);
   }
-  for (std::size_t i = 0; i < n; ++i)
-    if (delayed[i] == 0) with[i].clear();
-  return with;
+  // With holds earlier by `by`, or without any.
+  const auto follow = [&](bool held, const std::vector<std::int64_t>& by) {
+    std::vector<std::vector<std::int64_t>> starts(n);
+    for (const int i : topological) {
+      const KeyPlacement& placed = policy.placements[at(i)];
+      // Sizes divide the activations of a hyperperiod, so what they come round in does, too.
+      std::size_t size = std::max<std::size_t>(1, placed.hold_us.size());
+      for (const std::size_t e : into[at(i)])
+        size = std::lcm(size, starts[at(both.edges[e].first)].size());
+      std::int64_t offset = 0;
+      for (const int s : app.xnodes[at(i)].sources)
+        offset = std::max(offset, app.sources[at(s)].offset_us -
+                                      components->components[at(components->of[at(i)])].offset_us);
+      for (std::size_t j = 0; j < size; ++j) {
+        std::int64_t start = offset;
+        if (held) start = std::max(start, entry(placed.hold_us, j) - by[at(i)]);
+        for (const std::size_t e : into[at(i)])
+          start = std::max(start, entry(starts[at(both.edges[e].first)], j) + transfer[e]);
+        starts[at(i)].push_back(start);
+      }
+    }
+    return starts;
+  };
+  const std::vector<std::vector<std::int64_t>> free = follow(false, {});
+  planned.ordinary = follow(true, std::vector<std::int64_t>(n, 0));
+  planned.urgent = follow(true, sooner);
+  for (auto* starts : {&planned.ordinary, &planned.urgent})
+    for (std::size_t i = 0; i < n; ++i) {
+      std::vector<std::int64_t>& one = (*starts)[i];
+      bool delayed = false;
+      for (std::size_t j = 0; j < one.size(); ++j) delayed = delayed || one[j] > entry(free[i], j);
+      if (!delayed) one.clear();
+    }
+  return planned;
 }
 
 }  // namespace xauto

@@ -15,8 +15,13 @@ namespace xauto {
 /// [xnode][activation mod size] E, in us after the nominal release: the largest of the job's hold, of its sources'
 /// offsets, and of E + transfer of what it waits for, by edges and order. Empty: no hold delays it, its own or
 /// another's, so that it has no need to wait. The policy is one that validate() takes.
-[[nodiscard]] std::vector<std::vector<std::int64_t>> planned_starts_us(const AppSpec& app,
-                                                                       const Platform& platform,
-                                                                       const KeyPolicy& policy);
+struct PlannedStarts {
+  std::vector<std::vector<std::int64_t>> ordinary;
+  /// Of urgent releases: holds of what hears of the source by edges are earlier by its by_us, at most to the release.
+  /// Of other XNodes as `ordinary`.
+  std::vector<std::vector<std::int64_t>> urgent;
+};
+[[nodiscard]] PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
+                                              const KeyPolicy& policy);
 
 }  // namespace xauto

@@ -298,7 +298,8 @@ std::string why_version_2(const Profile& profile, const AppSpec& app) {
   return {};
 }
 
-Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from) {
+Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from,
+                       bool version_2) {
   XAUTO_TRY(validate(profile));
   AppSpec app;
   app.name = profile.app;
@@ -349,7 +350,8 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});
   app.deadline_us = profile.asks.deadline_us;
   XAUTO_TRY(validate(app));
-  return why_version_2(profile, app).empty() ? app : with_rates(profile, std::move(app));
+  if (!version_2 && why_version_2(profile, app).empty()) return app;
+  return with_rates(profile, std::move(app));
 }
 
 }  // namespace xauto

@@ -61,7 +61,7 @@ struct Handover {
   int from = -1, to = -1;  ///< tables
   /// [chain] of every release that meets it, each job within the WCETs of both tables' scenarios;
   /// kNotThere: one of the tables does not have it, and its jobs are in time by settles_us, too;
-  /// nullopt: nothing is claimed.
+  /// nullopt: nothing is claimed, and the change drains (drain.h).
   std::vector<std::optional<std::int64_t>> worst_case_us;
   std::int64_t settles_us = 0;  ///< from then on jobs are in time again; not before, the next one
   std::vector<std::string> not_claimed =

@@ -147,6 +147,7 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   const int sinks_left = num_sinks_[table_of(sequence)];
   if (!context_.graph.single_rate || sinks_left == 0) return;
   const Guard lock(mutex_);
+  if (sequence < num_released_) return;  // a source of another offset was there before
   num_released_ = sequence + 1;
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)

@@ -7,8 +7,6 @@
 namespace xauto::runtime {
 namespace {
 
-constexpr std::int64_t kRoundingNs =
-    1000;  ///< our own: two clock readings, and periods that are fractions
 constexpr std::int64_t kFollow = 16;  ///< of the distance to half the jitter, a part per message
 constexpr int kMoved = 8;  ///< late ones in a row: the source's grid has moved, they are not late
 constexpr std::int64_t kMostLeftOut = 1000;  ///< more are a sensor that was started anew
@@ -26,7 +24,7 @@ std::optional<ClockPhase::Seen> ClockPhase::arrived(std::int64_t at_ns, const Gr
     return Seen{stream.next++, at_ns - middle, 0};
   }
   const std::int64_t tolerance =
-      kRoundingNs +
+      kPhaseRoundingNs +
       static_cast<std::int64_t>(static_cast<__int128>(at_ns - seen_ns_) * ppm_ / 1'000'000);
   seen_ns_ = at_ns;
   // Against the grid of the clock, if it is there; else against the source's own.
@@ -87,7 +85,8 @@ std::optional<std::int64_t> ClockPhase::left_out_ns(const Grid::Source& source,
   // The tolerance as it will be then, or a little more.
   const std::int64_t silent = nominal + source.jitter_ns + 2 * period - seen_ns_;
   const std::int64_t tolerance =
-      2 * kRoundingNs + static_cast<std::int64_t>(static_cast<__int128>(silent) * ppm_ / 1'000'000);
+      2 * kPhaseRoundingNs +
+      static_cast<std::int64_t>(static_cast<__int128>(silent) * ppm_ / 1'000'000);
   return nominal + std::max(source.jitter_ns + tolerance, period - source.jitter_ns / 2);
 }
 

@@ -22,6 +22,10 @@
 
 namespace xauto::runtime {
 
+/// Beyond what the clock's tolerance allows, for each message of a clock: two clock readings, and periods that are
+/// fractions.
+inline constexpr std::int64_t kPhaseRoundingNs = 1000;
+
 /// Threads: one.
 class ClockPhase {
  public:

@@ -321,6 +321,9 @@ Status Releaser::release_periodic() {
   const bool counts_pushes = sources.empty() && context_.session.duration_us == 0;
   pushes_left_ = counts_pushes ? context_.session.activations : 0;
   std::int64_t start = now_ns() + 20'000'000;
+  if (EarlyStart* early = wiring_.early_start())
+    for (const Source& s : sources)
+      if (phases_[s.grid->clock] == nullptr) early->due(s.grid->number, start);
   const std::int64_t length_ns = counts_pushes ? kForeverNs : run_length_ns(slowest_ns);
   // Of a source's next release, after `start`; kForeverNs: not known yet.
   const auto due_of = [&](const Source& s) {
@@ -434,6 +437,15 @@ std::int64_t Releaser::take_fed(std::vector<Sample> fed, std::int64_t due_ns,
                                            : 0;
 }
 
+/// When the next ones come of a clock that is not ours.
+void Releaser::tell_early_start(const Sample& sample) {
+  EarlyStart* early = wiring_.early_start();
+  const Grid::Source& source = context_.grid.sources[static_cast<std::size_t>(
+      context_.graph.topics[static_cast<std::size_t>(sample.topic)].source)];
+  if (early != nullptr && phases_[source.clock] != nullptr)
+    early->released(source.number, sample.sequence, sample.nominal_ns);
+}
+
 /// An app of version 2 states how late a release may be.
 void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   const auto source = static_cast<std::size_t>(
@@ -539,7 +551,10 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
     return sample.stamp_ns > 0 ? sample.stamp_ns : now_ns;
   };
   for (const Sample& sample : samples)
-    if (sample.nominal_ns > 0) watch_jitter(now_ns, sample);
+    if (sample.nominal_ns > 0) {
+      watch_jitter(now_ns, sample);
+      tell_early_start(sample);
+    }
   std::int64_t oldest_ns = INT64_MAX;
   for (const Sample& sample : samples) oldest_ns = std::min(oldest_ns, origin_of(sample));
   ledger_.open(sequence, oldest_ns);

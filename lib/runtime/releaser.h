@@ -94,6 +94,7 @@ class Releaser {
                                                   std::span<const Sample> samples) const;
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
+  void tell_early_start(const Sample& sample);
   [[nodiscard]] Status record_topic(record::Recorder& recorder, std::size_t topic);
   void record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequence, const void* message);
 

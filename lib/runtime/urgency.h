@@ -30,8 +30,19 @@ class Urgency {
     urgency.urgent_by_ns_ = urgent_by_us * 1000;
     urgency.by_release_ = true;
     for (const std::int64_t us : key_us) urgency.key_ns_.push_back(us * 1000);
-    for (const std::int64_t us : hold_us) urgency.hold_ns_.push_back(us * 1000);
+    for (const std::int64_t us : hold_us) {
+      urgency.hold_ns_.push_back(us * 1000);
+      urgency.urgent_hold_ns_.push_back(std::max<std::int64_t>(0, us - urgent_by_us) * 1000);
+    }
     return urgency;
+  }
+  /// Planned starts take the place of holds (model/early_start.h). Empty: its jobs, or the urgent ones, have none.
+  void plan_starts(const std::vector<std::int64_t>& ordinary_us,
+                   const std::vector<std::int64_t>& urgent_us) {
+    hold_ns_.clear();
+    urgent_hold_ns_.clear();
+    for (const std::int64_t us : ordinary_us) hold_ns_.push_back(us * 1000);
+    for (const std::int64_t us : urgent_us) urgent_hold_ns_.push_back(us * 1000);
   }
 
   /// Of activation `n`, whose nominal release is at `nominal_ns` of CLOCK_MONOTONIC.
@@ -51,15 +62,16 @@ class Urgency {
   /// Where `holds()`: the instant before which activation `n` does not start.
   [[nodiscard]] std::int64_t hold(std::int64_t nominal_ns, std::uint64_t n,
                                   bool urgent = false) const {
-    const std::int64_t hold_ns = hold_ns_[static_cast<std::size_t>(n % hold_ns_.size())];
-    return nominal_ns + (urgent ? std::max<std::int64_t>(0, hold_ns - urgent_by_ns_) : hold_ns);
+    const std::vector<std::int64_t>& holds_ns = urgent ? urgent_hold_ns_ : hold_ns_;
+    return nominal_ns +
+           (holds_ns.empty() ? 0 : holds_ns[static_cast<std::size_t>(n % holds_ns.size())]);
   }
 
  private:
   bool by_release_ = false;
   coord::Key constant_ = 0;  ///< not by release
   std::int64_t urgent_by_ns_ = 0;
-  std::vector<std::int64_t> key_ns_, hold_ns_;
+  std::vector<std::int64_t> key_ns_, hold_ns_, urgent_hold_ns_;
 };
 
 }  // namespace xauto::runtime

@@ -43,6 +43,9 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
   if (context.scheduled() && !session.coordinators.empty())
     w.held_up_ = std::make_unique<HeldUp>(context, placing);
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
+  if (EarlyStart::may_be(context)) {
+    XAUTO_ASSIGN(w.early_, EarlyStart::make(session.app, session.platform, *session.keys));
+  }
   w.crews_ = std::vector<Crew>(session.platform.xpus.size());
   for (std::size_t m = 0; m < modules; ++m) {
     w.chains_.emplace_back();
@@ -88,6 +91,7 @@ Status Wiring::place_module(std::size_t module, int index) {
         if (context_.session.board_fd >= 0)
           options.counts = &context_.board.xpu(static_cast<std::size_t>(xpu));
         options.held_up = held_up_.get();
+        options.early = early_.get();
         workers_.push_back(
             std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
         workers_.back()->share(crews_[static_cast<std::size_t>(xpu)]);
@@ -140,6 +144,9 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   if (session.keys) {
     const KeyPlacement& key = session.keys_of(table).placements[placed.xnode];
     placed.urgency = Urgency::of_keys(key.key_us, key.hold_us, context_.grid.urgent_by_us[module]);
+    if (early_)
+      placed.urgency.plan_starts(early_->planned_us().ordinary[placed.xnode],
+                                 early_->planned_us().urgent[placed.xnode]);
   } else {
     placed.urgency =
         Urgency::of_priority(session.of_table(table).placements[placed.xnode].priority);
@@ -281,6 +288,10 @@ void Wiring::report(RunReport& into) {
   if (interop_) {
     interop_->stop();
     for (const std::string& note : interop_->notes()) add_note(into.note, note);
+  }
+  if (early_) {
+    const EarlyStart::Count early = early_->count();
+    into.early_starts = {true, early.jobs, early.sum_ns / 1000};
   }
   add_note(into.note, threads_->note());
   std::set<std::string> lost;

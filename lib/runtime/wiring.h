@@ -20,6 +20,7 @@
 #include "processes/board.h"
 #include "processes/interop.h"
 #include "runtime/context.h"
+#include "runtime/early_start.h"
 #include "runtime/held_up.h"
 #include "runtime/placing.h"
 #include "runtime/role.h"
@@ -60,6 +61,8 @@ class Wiring {
   }
   /// Null: no program outside hears or feeds this process.
   [[nodiscard]] Interop* interop() const { return interop_.get(); }
+  /// Null: holds are waited for to their end.
+  [[nodiscard]] EarlyStart* early_start() const { return early_.get(); }
   /// Null: none was opened.
   [[nodiscard]] transport::Receiver* receiver() const { return receiver_.get(); }
   /// Null: another process has it.
@@ -97,6 +100,7 @@ class Wiring {
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;        ///< [module]
   std::vector<std::vector<std::unique_ptr<NodeRow>>> chains_;  ///< [module][in flight]
   std::unique_ptr<HeldUp> held_up_;                            ///< null: nobody schedules
+  std::unique_ptr<EarlyStart> early_;                          ///< outlives the workers
   std::unique_ptr<xpu::CpuThreads> threads_;                   ///< outlives the workers
   std::vector<Crew> crews_;                                    ///< [XPU]; they, too
   std::vector<std::unique_ptr<Worker>> workers_;

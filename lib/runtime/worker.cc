@@ -16,6 +16,7 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "base/thread.h"
+#include "runtime/early_start.h"
 
 namespace xauto::runtime {
 namespace {
@@ -215,6 +216,7 @@ void Worker::wake(std::uint32_t mail) {
 
 void Worker::skip(std::size_t position, std::uint64_t sequence) {
   if (port_) port_->skip(chain_.nodes[position].task, sequence);
+  tell_ended(chain_.nodes[position], sequence);
 }
 
 void Worker::execute() {
@@ -319,9 +321,11 @@ void Worker::run_chain(std::size_t node, bool begun) {
       const std::int64_t due_ns = key_of(chain[length - 1]);
       const std::uint64_t sequence = activation.sequence();
       module.finish(activation, true);
+      tell_ended(chain[length - 1], sequence);  // what it publishes is there
       if (const std::int64_t now = now_ns(); now > due_ns) module.missed(sequence, now - due_ns);
       return;
     }
+    tell_ended(chain[node - 1], activation.sequence());
     module.pass(activation);
     Worker& next = *chain[node].worker;
     if (&next != this) return next.submit(node);
@@ -332,11 +336,11 @@ void Worker::run_chain(std::size_t node, bool begun) {
 }
 
 /// START, without waiting for what comes of it.
-void Worker::begin(const Placed& placed) {
+void Worker::begin(const Placed& placed, std::uint32_t held_us) {
   const std::uint64_t sequence = chain_.activation->sequence();
   const auto place = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
   current_.store(place << kSequenceBits | sequence, std::memory_order_release);
-  record(XAUTO_EV_START, placed, sequence);
+  record(XAUTO_EV_START, placed, sequence, held_us);
   port_->begin({placed.task, sequence, key_of(placed)});
 }
 
@@ -354,6 +358,27 @@ xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
           placed.fifo_priority};
 }
 
+/// Returns when the job's hold is over; or its planned start has come, or is not needed. And how long it slept, in us.
+std::uint32_t Worker::hold_back(const Placed& placed) {
+  const std::int64_t until = placed.urgency.hold(
+      chain_.activation->origin_ns(), chain_.activation->sequence(), chain_.activation->urgent());
+  const std::int64_t since = now_ns();
+  const bool slept = options_.early == nullptr
+                         ? sleep_until_ns(until)
+                         : options_.early->wait(placed.xnode, {key_of(placed), until});
+  if (!slept) return 0;
+  const std::int64_t now = now_ns();
+  if (!options_.backend.emulated && !backend_->on_thread())
+    overslept_ns_ = std::max<std::int64_t>(0, now - until);
+  return static_cast<std::uint32_t>(
+      std::min<std::int64_t>((std::min(now, until) - since) / 1000, UINT32_MAX));
+}
+
+/// To those that may start when it has, before their planned start.
+void Worker::tell_ended(const Placed& placed, std::uint64_t sequence) {
+  if (options_.early != nullptr) options_.early->ended(placed.xnode, sequence);
+}
+
 bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   const Placed& placed = chain[position];
   Instance& here = *placed.here;
@@ -364,14 +389,9 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
   overslept_ns_ = 0;
-  if (placed.urgency.holds()) {
-    const std::int64_t until = placed.urgency.hold(
-        chain_.activation->origin_ns(), chain_.activation->sequence(), chain_.activation->urgent());
-    if (sleep_until_ns(until) && !options_.backend.emulated && !backend_->on_thread())
-      overslept_ns_ = now_ns() - until;
-  }
+  const std::uint32_t held_us = placed.urgency.holds() ? hold_back(placed) : 0;
   if (port_) {
-    if (!begun) begin(placed);
+    if (!begun) begin(placed, held_us);
     port_->wait();
     if (port_->discipline() == Discipline::kLevels) take_level(placed);
     backend_->admitted(here.made.handle, !here.ran_once);

@@ -35,6 +35,7 @@
 
 namespace xauto::runtime {
 
+class EarlyStart;
 class HeldUp;
 
 /// What an XNode's init has made on one XPU, shared by all tables that place it there. Of the worker's
@@ -100,6 +101,7 @@ struct WorkerOptions {
   ContextCounts* contexts = nullptr;  ///< on the board, which outlives the worker
   XpuLine* counts = nullptr;          ///< likewise, of its XPU; null: nobody can look at it
   const HeldUp* held_up = nullptr;    ///< null: nobody looks at what its jobs hold up
+  EarlyStart* early = nullptr;        ///< null: holds are waited for to their end
 };
 
 class Worker {
@@ -183,7 +185,9 @@ class Worker {
   void destroy_objects(bool ran);
   void run_chain(std::size_t node, bool begun);
   bool run_job(const Placed* chain, std::size_t position, bool begun);
-  void begin(const Placed& placed);
+  [[nodiscard]] std::uint32_t hold_back(const Placed& placed);
+  void tell_ended(const Placed& placed, std::uint64_t sequence);
+  void begin(const Placed& placed, std::uint32_t held_us = 0);
   [[nodiscard]] coord::Key key_of(const Placed& placed) const;
   [[nodiscard]] xpu::CpuJob cpu_job(const Placed& placed) const;
   void wake(std::uint32_t mail);

@@ -120,6 +120,13 @@ struct TakenReport {
   std::int64_t us = 0;  ///< the most at once; of what is only known as a sum, all of it
 };
 
+/// Jobs that started before their planned start (runtime/early_start.h), and by how much together.
+struct EarlyStartReport {
+  bool on = false;  ///< it may happen in this run
+  std::uint64_t jobs = 0;
+  std::int64_t sum_us = 0;
+};
+
 struct RunReport {
   bool complete = false;                ///< every release was accounted for before the end
   std::string not_complete;             ///< why not, for people
@@ -132,6 +139,7 @@ struct RunReport {
   std::vector<XNodeReport> xnodes;  ///< those with limits
   std::vector<RouteReport> routes;
   ContextReport contexts;
+  EarlyStartReport early_starts;
   std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
   std::vector<FailedPreemptionReport> failed_preemptions;
   std::vector<std::string> lost_coordinators;

@@ -63,6 +63,11 @@ void fields(Io io, T& x) {
      "gated", x.gated, "held_up", x.held_up, "misplaced", x.misplaced);
 }
 
+template <class Io, Is<EarlyStartReport> T>
+void fields(Io io, T& x) {
+  io("on", x.on, "jobs", x.jobs, "sum_us", x.sum_us);
+}
+
 template <class Io, Is<PreemptionReport> T>
 void fields(Io io, T& x) {
   io("xpu", x.xpu, "suspensions", x.suspensions, "suspend_us", x.suspend_us, "resume_us",
@@ -97,12 +102,12 @@ void fields(Io io, T& x) {
   io("complete", x.complete, "not_complete", x.not_complete, "note", x.note, "releases", x.releases,
      "num_releases", x.num_releases, "lost_releases", x.lost_releases, "latencies_us",
      x.latencies_us, "modules", x.modules, "xnodes", x.xnodes, "routes", x.routes, "contexts",
-     x.contexts, "preemptions", x.preemptions, "failed_preemptions", x.failed_preemptions,
-     "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
-     "overlapping_releases", x.overlapping_releases, "unkept", x.unkept, "broken", x.broken,
-     "taken", x.taken, "not_watched", x.not_watched, "scenarios", x.scenarios, "switches",
-     x.switches, "num_switches", x.num_switches, "over_changes", x.over_changes, "several_rates",
-     x.several_rates, "recording_error", x.recording_error);
+     x.contexts, "early_starts", x.early_starts, "preemptions", x.preemptions, "failed_preemptions",
+     x.failed_preemptions, "lost_coordinators", x.lost_coordinators, "died", x.died,
+     "deadline_misses", x.deadline_misses, "overlapping_releases", x.overlapping_releases, "unkept",
+     x.unkept, "broken", x.broken, "taken", x.taken, "not_watched", x.not_watched, "scenarios",
+     x.scenarios, "switches", x.switches, "num_switches", x.num_switches, "over_changes",
+     x.over_changes, "several_rates", x.several_rates, "recording_error", x.recording_error);
 }
 
 template <class Io, Is<Error> T>

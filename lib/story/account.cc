@@ -126,7 +126,9 @@ class Accountant {
     if (first.released_ns > release_.begin_ns && chain_ != nullptr)
       step.sensor_us = std::max<std::int64_t>(0, std::min(ready, us(first.released_ns)) - since);
     if (step.handover_us > 0) step.busy_with = same_module(first, since, ready);
-    if (step.waited_us > 0) step.waited_for = others_on(first, ready, begin);
+    step.held_us = std::clamp<std::int64_t>(first.held_us, 0, step.waited_us);
+    if (step.waited_us > step.held_us)
+      step.waited_for = others_on(first, ready + step.held_us, begin);
     cursor_ = begin;
     for (const TraceSlice* piece : pieces) {
       const std::int64_t from = std::max(cursor_, us(piece->begin_ns));
@@ -288,7 +290,9 @@ std::string reasons_of(const ChainStep& step, std::int64_t least_us) {
     say(step.busy_with.empty() ? "ready " + in_ms(step.handover_us) + " ms after what it follows"
                                : "its module was busy for " + in_ms(step.handover_us) +
                                      " ms with " + names_of(step.busy_with, step.handover_us));
-  if (step.waited_us >= least_us) say(waited_text(step.waited_us, step.waited_for));
+  if (step.held_us >= least_us) say("held for " + in_ms(step.held_us) + " ms by its policy");
+  if (step.waited_us - step.held_us >= least_us)
+    say(waited_text(step.waited_us - step.held_us, step.waited_for));
   if (step.suspended_us + step.switched_us >= least_us)
     say("off the XPU for " + in_ms(step.suspended_us + step.switched_us) + " ms" +
         (step.preempted_by.empty()

@@ -27,6 +27,7 @@ struct ChainStep {
   std::int64_t sensor_us = 0;  ///< several rates, of the handover: until the last message it takes
                                ///< was released
   std::int64_t waited_us = 0;  ///< ready, not on the XPU yet
+  std::int64_t held_us = 0;    ///< so long of that, from the first on, by its policy
   std::int64_t ran_us = 0;
   std::int64_t switched_us = 0;   ///< being taken off and put back
   std::int64_t suspended_us = 0;  ///< off the XPU besides

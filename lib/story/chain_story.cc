@@ -149,7 +149,7 @@ class Tracer {
       job.ran_us += (trace_.run[part].end_ns - trace_.run[part].begin_ns) / 1000;
     if (first.since_release_us) job.released_us = job.began_us - *first.since_release_us;
     if (job.released_us && first.key_us) job.key_us = *job.released_us + *first.key_us;
-    if (job.released_us && first.hold_us) job.held_until_us = *job.released_us + *first.hold_us;
+    if (first.held_us > 0) job.held_until_us = std::min(job.began_us, job.ready_us + first.held_us);
     if (first.from.empty() && first.released_ns > 0)
       job.late_us = job.ready_us - since(first.released_ns);
     const std::int64_t free_us = std::max(job.ready_us, job.held_until_us.value_or(job.ready_us));

@@ -30,7 +30,7 @@ struct StoryJob {
   std::int64_t number = 0;
   std::int64_t ready_us = 0, began_us = 0, ended_us = 0, ran_us = 0;
   std::optional<std::int64_t> released_us, key_us;  ///< of its activation, by its policy
-  std::optional<std::int64_t> held_until_us;        ///< likewise: it must not begin earlier
+  std::optional<std::int64_t> held_until_us;        ///< likewise; nullopt: it was not held
   std::int64_t late_us = 0;  ///< of a job that a sensor fires: ready so long after the release
   std::vector<Blocker> waited_for;          ///< who had its XPU while it was ready, and not held
   std::optional<std::int64_t> lateness_us;  ///< end less key; negative: early

@@ -239,6 +239,8 @@ class Painter {
             args.emplace_back("priority", scene_.priorities[static_cast<std::size_t>(job.xnode)]);
           args.emplace_back("part", static_cast<std::int64_t>(++part));
           args.emplace_back("waited_us", waited_ns / 1000);
+          if (part == 1 && job.held_us > 0)
+            args.emplace_back("held_us", std::min(job.held_us, waited_ns / 1000));
           if (!waited_for.empty())
             args.emplace_back(part == 1 ? "waited_for" : "preempted_by", waited_for);
           if (job.failed) args.emplace_back("failed", std::int64_t{1});

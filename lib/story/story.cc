@@ -173,7 +173,11 @@ class Reader {
     if (job == open.end() &&
         (e.kind == XAUTO_EV_READY || e.kind == XAUTO_EV_START || e.kind == XAUTO_EV_RUN)) {
       while (open.size() >= most_open_[e.module]) close(open, open.begin(), ts);
-      open.push_back(JobStory{e.xnode, e.module, e.xpu, e.seq, {}, false, false});
+      JobStory& begun = open.emplace_back();
+      begun.xnode = e.xnode;
+      begun.module = e.module;
+      begun.xpu = e.xpu;
+      begun.sequence = e.seq;
       OpenActivations& activations = open_activations_[e.module];
       if (const auto activation = numbered(activations, e.seq); activation != activations.end())
         open.back().activation = activation->id;
@@ -184,6 +188,9 @@ class Reader {
     if (job == open.end()) return;
     job->xpu = e.xpu;
     switch (e.kind) {
+      case XAUTO_EV_START:
+        job->held_us = e.arg;
+        break;
       case XAUTO_EV_RUN:
         give_samples(e);
         enter(*job, PhaseKind::kRunning, ts);

@@ -335,7 +335,7 @@ class TraceFile {
       if (arg.name() == "preempted_by") s.preempted_by = arg.string_value();
       if (!is_time(arg.int_value())) continue;
       if (arg.name() == "since_release_us") s.since_release_us = arg.int_value();
-      if (arg.name() == "hold_us") s.hold_us = arg.int_value();
+      if (arg.name() == "held_us") s.held_us = arg.int_value();
       if (arg.name() == "key_us") s.key_us = arg.int_value();
       if (arg.name() == "lateness_us") s.lateness_us = arg.int_value();
     }

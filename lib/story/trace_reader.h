@@ -33,7 +33,8 @@ struct TraceSlice {
   std::vector<int> releases;      ///< all of them: indices into `releases`
   std::vector<TraceSample> samples;
   // Of a run by keys: in the first slice of a job, and in its last.
-  std::optional<std::int64_t> since_release_us, hold_us, key_us, lateness_us;
+  std::optional<std::int64_t> since_release_us, key_us, lateness_us;
+  std::int64_t held_us = 0;  ///< in the first slice: so long of `waited_us`, from the first on
 };
 
 struct TraceRelease {

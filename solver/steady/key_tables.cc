@@ -232,6 +232,7 @@ class KeyTablesSearch {
     solving.stop = how.in_time ? &enough : options_.stop;
     solving.hint = hint;
     solving.keep = how.keep;
+    solving.order = false;
     AppSpec app = app_under(app_, scenario, loss);
     if (how.slack_pct > 0) lengthen(app, how.slack_pct);
     return solve(app, left, solving);

@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "model/early_start.h"
 #include "solver/random.h"
 #include "solver/steady/check_world.h"
 
@@ -146,6 +147,12 @@ class Play {
     for (PlayedXNode& x : report_.xnodes) x.closest_us = -1e300;
     starts_of_.resize(n);
     ends_of_.resize(n);
+    planned_us_ = planned_starts_us(w.app, w.platform, w.policy);
+    sampled_.resize(n);
+    for (const auto& [u, v] : w.app.samples) sampled_[at(v)].push_back(u);
+    released_.assign(w.components.size(), {-1, 0});
+    for (std::size_t i = 0; i < n; ++i)
+      devices_[at(w.policy.placements[i].xpu)].xnodes.push_back(static_cast<int>(i));
   }
 
   Status find_paths() {
@@ -191,9 +198,12 @@ class Play {
           ends(e);
         else if (e.kind == Kind::kArrives)
           arrives(e.index, e.activation);
+        else if (e.kind == Kind::kPlanned)
+          look_at(e.index, e.activation);
         else
           begin(e.index, e.activation);
       }
+      look_early();
       for (std::size_t m = 0; m < devices_.size(); ++m)
         if (devices_[m].look) decide(m);
     }
@@ -212,7 +222,7 @@ class Play {
 
  private:
   using Ticks = checking::Ticks;
-  enum class Kind : std::uint8_t { kEnds, kReleases, kArrives };
+  enum class Kind : std::uint8_t { kEnds, kReleases, kArrives, kPlanned };
   struct Event {
     Atoms when;
     Kind kind;
@@ -223,6 +233,7 @@ class Play {
   };
   struct Job {
     Atoms key = 0, left = 0;
+    Atoms planned = 0;  ///< E: before it, it starts only where the reason for its hold has gone
     int waits = 0;
     bool queued = false, started = false;
   };
@@ -242,7 +253,9 @@ class Play {
     std::priority_queue<Ready, std::vector<Ready>, std::greater<>> ready;
     Ready running;
     bool busy = false, look = false;
-    int begun = 0;  ///< jobs that have started and not ended
+    int begun = 0;                                    ///< jobs that have started and not ended
+    std::vector<int> xnodes;                          ///< that are on it
+    std::vector<std::pair<int, std::int64_t>> early;  ///< jobs that wait for nothing but E
     Atoms since = 0, used = 0;
     std::uint32_t stamp = 0;
   };
@@ -304,6 +317,7 @@ class Play {
                         (marked.empty() || n - marked.back() >= c.urgent_apart) &&
                         random_.unit() < 0.5;
     if (urgent) marked.push_back(n);
+    released_[at(component)] = {n, now_};
     for (const int i : c.xnodes) {
       const Atoms sooner = urgent && w_.hears_urgent[at(i)] ? c.urgent_by * kMillion : 0;
       const KeyPlacement& p = w_.policy.placements[at(i)];
@@ -322,10 +336,10 @@ class Play {
             {clocks_[at(c.clock)].real(source.offset_us * w_.scale + n * c.period) + jitter,
              Kind::kArrives, i, n, 0});
       }
-      if (!p.hold_us.empty()) {
-        ++job.waits;
-        events_.push(
-            {now_ + std::max<Atoms>(0, atoms(p.hold_us[j]) - sooner), Kind::kArrives, i, n, 0});
+      if (const auto& planned = (urgent ? planned_us_.urgent : planned_us_.ordinary)[at(i)];
+          !planned.empty()) {
+        job.planned = now_ + atoms(planned[static_cast<std::size_t>(n) % planned.size()]);
+        events_.push({job.planned, Kind::kPlanned, i, n, 0});
       }
       jobs_[at(i)].push_back(job);
       events_.push({now_, Kind::kArrives, i, n, 0});
@@ -351,6 +365,12 @@ class Play {
     const int m = w_.module_of[at(xnode)];
     if (j.waits > 0 || j.queued || (w_.entry[at(xnode)] && left_[at(m)] + w_.in_flight[at(m)] <= n))
       return;
+    if (now_ < j.planned && !may_start_early(xnode, j)) {
+      auto& early = devices_[at(w_.policy.placements[at(xnode)].xpu)].early;
+      if (std::ranges::find(early, std::pair(xnode, n)) == early.end())
+        early.emplace_back(xnode, n);
+      return;
+    }
     j.queued = true;
     Device& d = devices_[at(w_.policy.placements[at(xnode)].xpu)];
     if (options_.rank.empty())
@@ -360,7 +380,52 @@ class Play {
     d.look = true;
   }
 
+  /// The earliest at which the first activation of `x` that has not ended is released, and its key.
+  [[nodiscard]] std::pair<Atoms, Atoms> first_open(int x) const {
+    const std::int64_t n = done_[at(x)];
+    const auto& [last, when] = released_[at(w_.component_of[at(x)])];
+    const Component& c = w_.home(x);
+    const KeyPlacement& p = w_.policy.placements[at(x)];
+    if (n <= last) {
+      const Job& job = jobs_[at(x)].front();
+      return {now_, job.key};
+    }
+    // Not released: its clock may be fast.
+    const Atoms release =
+        when + (n - last) * c.period * (kMillion - w_.app.clocks[at(c.clock)].ppm);
+    const Atoms sooner = w_.hears_urgent[at(x)] ? c.urgent_by * kMillion : 0;
+    return {release,
+            release + atoms(p.key_us[static_cast<std::size_t>(n) % p.key_us.size()]) - sooner};
+  }
+
+  /// docs/steady-state.md, "Early start".
+  [[nodiscard]] bool may_start_early(int xnode, const Job& j) const {
+    const auto m = at(w_.policy.placements[at(xnode)].xpu);
+    const Xpu& xpu = w_.platform.xpus[m];
+    if (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0)
+      for (const int x : devices_[m].xnodes)
+        if (x != xnode && first_open(x).second <= j.key) return false;
+    for (const int u : sampled_[at(xnode)]) {
+      const auto [release, key] = first_open(u);
+      const bool one_clock = w_.home(u).clock == w_.home(xnode).clock;
+      const bool released = done_[at(u)] <= released_[at(w_.component_of[at(u)])].first;
+      if (one_clock ? key <= j.planned : released || release < j.planned) return false;
+    }
+    return true;
+  }
+
+  /// Something has ended, so that others may be the first on their XPUs, or read all that their plan reads.
+  void look_early() {
+    if (!ended_) return;
+    ended_ = false;
+    for (Device& d : devices_) {
+      const auto waiting = std::exchange(d.early, {});
+      for (const auto& [xnode, n] : waiting) look_at(xnode, n);
+    }
+  }
+
   void ends(const Event& e) {
+    ended_ = true;
     Device& d = devices_[at(w_.policy.placements[at(e.index)].xpu)];
     if (!d.busy || d.stamp != e.stamp) return;
     d.busy = false;
@@ -499,6 +564,11 @@ class Play {
   std::vector<std::int64_t> left_;                 ///< [module] activations that have left
   std::vector<Device> devices_;
   std::priority_queue<Event, std::vector<Event>, std::greater<>> events_;
+  PlannedStarts planned_us_;
+  std::vector<std::vector<int>> sampled_;  ///< [xnode] what it reads
+  std::vector<std::pair<std::int64_t, Atoms>>
+      released_;        ///< [component] the last release, and when
+  bool ended_ = false;  ///< a job, since the last look_early()
   Atoms now_ = 0;
   std::int64_t unfinished_ = 0;
   PlayReport report_;

@@ -151,6 +151,7 @@ struct Seed {
 std::vector<Seed> seeds_of(const AppSpec& app, const Platform& platform, const Problem& p,
                            const Options& options, double limit_s) {
   std::vector<Seed> seeds;
+  if (!options.order) return seeds;
   const auto add = [&](const KeyPolicy& policy) {
     Result<Problem> with = Problem::create(app, platform, options.wishes, policy.order);
     if (with) seeds.push_back({std::move(*with), policy});

@@ -35,6 +35,7 @@ struct Options {
   std::function<void(const Progress&)>
       on_progress;    ///< each improvement, from any thread, one at a time
   Objectives wishes;  ///< pins, forbids and groups
+  bool order = true;  ///< policies may have KeyPolicy::order; tables have no place for it
   /// Where to begin; proven again before it is certified. May be of an earlier version of the app:
   /// xpu -1 for an XNode that it does not know.
   const KeyPolicy* hint = nullptr;

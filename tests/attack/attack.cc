@@ -5,6 +5,7 @@
 #include <numeric>
 #include <queue>
 #include <set>
+#include <utility>
 #include <vector>
 
 namespace xauto::attack {
@@ -35,7 +36,9 @@ class Dice {
 
 /// All that chance, or an adversary, decides. Parts of 255.
 struct Fate {
-  std::vector<std::vector<std::uint8_t>> run;     ///< [xnode][activation] of the WCET
+  std::vector<std::vector<std::uint8_t>> run;  ///< [xnode][activation] of the WCET
+  std::vector<std::vector<std::uint8_t>>
+      early;  ///< [xnode][activation] above 0: if it may, it starts early
   std::vector<std::vector<std::uint8_t>> jitter;  ///< [source][release] of the jitter
   std::vector<std::vector<std::uint8_t>> urgent;  ///< [source][release] above 0: if it may
   std::vector<Atoms> phase;                       ///< [clock]
@@ -54,8 +57,8 @@ struct Path {
 
 class World {
  public:
-  World(const AppSpec& app, const Platform& platform, const KeyPolicy& policy)
-      : app_(app), platform_(platform), policy_(policy) {
+  World(const AppSpec& app, const Platform& platform, const KeyPolicy& policy, Early early)
+      : app_(app), platform_(platform), policy_(policy), early_(early) {
     for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
     const std::size_t n = app.xnodes.size();
     group_.resize(n);
@@ -147,6 +150,24 @@ class World {
   [[nodiscard]] const std::string& type(int i) const {
     return platform_.xpus[at(policy_.placements[at(i)].xpu)].type;
   }
+  /// The planned start: no sooner by the proof. Of what its XNode waits for, with transfers; holds of whoever hears an
+  /// urgent release are sooner.
+  [[nodiscard]] Atoms planned(std::size_t i, std::int64_t k, bool urgent) const {
+    const KeyPlacement& p = policy_.placements[i];
+    Atoms start = 0, sooner = 0;
+    for (const int s : app_.xnodes[i].sources)
+      start = std::max(start,
+                       (app_.sources[at(s)].offset_us * scale_ - base_[at(group_[i])]) * kMillion);
+    for (std::size_t s = 0; s < hurries_.size() && urgent; ++s)
+      if (hurries_[s][i]) sooner = atoms(app_.sources[s].urgent->by_us);
+    if (!p.hold_us.empty())
+      start = std::max(start, atoms(p.hold_us[at(k) % p.hold_us.size()]) - sooner);
+    for (std::size_t u = 0; u < edges_out_.size(); ++u)
+      for (const auto& [v, transfer] : edges_out_[u])
+        if (at(v) == i && early_ != Early::kFromItsHold)
+          start = std::max(start, planned(u, k, urgent) + transfer);
+    return start;
+  }
   [[nodiscard]] std::int64_t period(std::size_t i) const { return period_[at(group_[i])]; }
   [[nodiscard]] int clock(std::size_t i) const { return clock_[at(group_[i])]; }
   [[nodiscard]] Atoms real(int clock, std::int64_t grid, const Fate& f) const {
@@ -183,6 +204,7 @@ class World {
   const AppSpec& app_;
   const Platform& platform_;
   const KeyPolicy& policy_;
+  Early early_;
   std::int64_t scale_ = 1;
   std::vector<int> group_;                   ///< [xnode] least XNode of its component
   std::vector<std::int64_t> base_, period_;  ///< [that] 1/scale us
@@ -227,13 +249,13 @@ class Run {
         const std::size_t j = at(k) % p.key_us.size();
         const Atoms sooner = hurry(i, k);
         job.key = release + w_.atoms(p.key_us[j]) - sooner;
+        job.release = release;
+        job.planned = release + w_.planned(i, k, sooner > 0);
         job.left = std::max<Atoms>(1, w_.wcet_[i] / 255 * f_.run[i][at(k)] +
                                           (f_.run[i][at(k)] == 255 ? w_.wcet_[i] % 255 : 0));
         job.waits = w_.edges_in_[i] + static_cast<int>(w_.app_.xnodes[i].sources.size()) +
-                    (k > 0 ? 1 : 0) + (!w_.inner_[i] && k >= w_.states_[i] ? 1 : 0) +
-                    (p.hold_us.empty() ? 0 : 1);
-        if (!p.hold_us.empty())
-          push(release + std::max<Atoms>(0, w_.atoms(p.hold_us[j]) - sooner), kArrives, i, k);
+                    (k > 0 ? 1 : 0) + (!w_.inner_[i] && k >= w_.states_[i] ? 1 : 0);
+        push(job.planned, kPlanned, i, k);
         for (const int s : w_.app_.xnodes[i].sources) {
           const SourceSpec& source = w_.app_.sources[at(s)];
           const auto& jitter = f_.jitter[at(s)];
@@ -251,9 +273,13 @@ class Run {
         events_.pop();
         if (e.kind == kEnds)
           ends(e);
+        else if (e.kind == kPlanned)
+          look(e.xnode, e.activation);
         else
           arrives(e.xnode, e.activation);
       }
+      // Whoever waits for nothing but its planned start.
+      for (auto waiting = std::exchange(early_, {}); const auto& [i, k] : waiting) look(i, k);
       for (std::size_t m = 0; m < xpus_.size(); ++m)
         if (xpus_[m].look) decide(m);
     }
@@ -261,7 +287,7 @@ class Run {
   }
 
  private:
-  enum Kind : std::uint8_t { kEnds, kArrives };
+  enum Kind : std::uint8_t { kEnds, kArrives, kPlanned };
   struct Event {
     Atoms when;
     Kind kind;
@@ -271,8 +297,9 @@ class Run {
     bool operator>(const Event& o) const { return when != o.when ? when > o.when : kind > o.kind; }
   };
   struct Job {
-    Atoms key = 0, left = 0, start = -1, end = -1;
+    Atoms release = 0, key = 0, planned = 0, left = 0, start = -1, end = -1;
     int waits = 0;
+    bool queued = false;
   };
   struct Ready {
     Atoms key;
@@ -317,7 +344,50 @@ class Run {
   }
 
   void arrives(int i, std::int64_t k) {
-    if (--jobs_[at(i)][at(k)].waits > 0) return;
+    --jobs_[at(i)][at(k)].waits;
+    look(i, k);
+  }
+
+  /// All of `x` that `matters` have ended. Its releases and keys do not fall.
+  template <typename Matters>
+  bool ended(std::size_t x, const Matters& matters) const {
+    for (const Job& job : jobs_[x]) {
+      if (job.end >= 0) continue;
+      return !matters(job);
+    }
+    return true;
+  }
+
+  /// The rule of docs/steady-state.md, by whoever knows all that is to come: nobody may do more.
+  bool may_start_early(std::size_t i, const Job& job) const {
+    const std::size_t m = at(w_.policy_.placements[i].xpu);
+    const Xpu& xpu = w_.platform_.xpus[m];
+    for (std::size_t x = 0; x < jobs_.size(); ++x)
+      if (x != i && at(w_.policy_.placements[x].xpu) == m &&
+          (!xpu.preemptive || xpu.preempt_us > 0) && !ended(x, [&](const Job& other) {
+            const bool released = other.release <= now_;
+            if (w_.early_ == Early::kByTheSequence) return released && other.planned < job.planned;
+            return other.key <= job.key && (released || w_.early_ != Early::kOfTheReleased);
+          }))
+        return false;
+    if (w_.early_ == Early::kWithoutSamples) return true;
+    for (const auto& [u, v] : w_.app_.samples)
+      if (at(v) == i && !ended(at(u), [&](const Job& other) {
+            return (w_.clock(at(u)) == w_.clock(i) ? other.key : other.release + 1) <= job.planned;
+          }))
+        return false;
+    return true;
+  }
+
+  void look(int i, std::int64_t k) {
+    Job& job = jobs_[at(i)][at(k)];
+    if (job.waits > 0 || job.queued) return;
+    const bool may = f_.early[at(i)][at(k)] > 0 && w_.early_ != Early::kNever;
+    if (now_ < job.planned && (!may || !may_start_early(at(i), job))) {
+      if (may) early_.emplace_back(i, k);
+      return;
+    }
+    job.queued = true;
     Device& device = xpus_[at(w_.policy_.placements[at(i)].xpu)];
     device.ready.push({jobs_[at(i)][at(k)].key, f_.ties_up ? i : -i, i, k});
     device.look = true;
@@ -435,7 +505,8 @@ class Run {
   std::vector<std::vector<Job>> jobs_;
   std::vector<std::vector<int>> gone_;  ///< [first XNode of a module][activation] still to end
   std::vector<Device> xpus_;
-  std::vector<std::vector<char>> urgent_;  ///< [source][release]
+  std::vector<std::pair<int, std::int64_t>> early_;  ///< what waits for its planned start alone
+  std::vector<std::vector<char>> urgent_;            ///< [source][release]
   std::priority_queue<Event, std::vector<Event>, std::greater<>> events_;
 };
 
@@ -468,6 +539,9 @@ class Climb {
     const std::int64_t mood = dice_.roll(3);
     for (std::size_t i = 0; i < w_.wcet_.size(); ++i) {
       f.run.emplace_back(at(span_ / w_.period(i) + 2), std::uint8_t{255});
+      f.early.emplace_back(f.run.back().size(), std::uint8_t{255});
+      if (mood == 3)
+        for (auto& e : f.early.back()) e = dice_.coin() ? 255 : 0;
       if (mood == 1)
         for (auto& r : f.run.back()) r = dice_.coin() ? 255 : 0;
       if (mood == 2 && dice_.roll(3) == 0)
@@ -529,7 +603,7 @@ class Climb {
       const std::int64_t what = dice_.roll(9);
       if (what < 6) {
         const auto i = at(dice_.roll(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
-        auto& run = f.run[i];
+        auto& run = dice_.roll(4) == 0 ? f.early[i] : f.run[i];
         const auto value = static_cast<std::uint8_t>(dice_.roll(3) == 0 ? dice_.roll(255)
                                                      : dice_.coin()     ? 255
                                                                         : 0);
@@ -639,7 +713,7 @@ class Climb {
 
 Found attack(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
              const Options& options) {
-  const World w(app, platform, policy);
+  const World w(app, platform, policy, options.early);
   return Climb(w, options).go();
 }
 

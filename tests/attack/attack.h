@@ -15,9 +15,20 @@
 
 namespace xauto::attack {
 
+/// Before its planned start a job may start early: by the rule, or by a wrong one that looks like it.
+enum class Early {
+  kByTheRule,
+  kNever,
+  kFromItsHold,  ///< wrong: it looks at the conditions before its hold alone, and not before its planned start
+  kOfTheReleased,   ///< wrong: of the XPU's jobs those of smaller keys that are released
+  kByTheSequence,   ///< wrong: once those have ended that are planned to start before it
+  kWithoutSamples,  ///< wrong: whatever it reads
+};
+
 struct Options {
   std::int64_t jobs = 200'000;  ///< to simulate, all executions together
   std::uint64_t seed = 1;
+  Early early = Early::kByTheRule;
 };
 
 struct Found {

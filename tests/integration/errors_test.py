@@ -100,9 +100,12 @@ class Errors(unittest.TestCase):
             self.assertEqual(app["chains"], [{"name": "camera -> fcd.infer", "from": "camera", "to": "fcd.infer"}])
             profile["xnodes"][0]["source"] = ["camera", "lidar/größe"]
             (folder / "app.json").unlink()
-            app, said = written("--app-version", 2)
-            self.assertEqual(app["version"], 1)
-            self.assertIn("app.json is of version 1: /xnodes/0/source: XNode 'fcd.pre' joins sources", said)
+            (folder / "profile.json").write_text(json.dumps(profile))
+            done = xauto("profile", "--read", "profile.json", "--platform", GOLDEN / "platform.json", "--app-out",
+                         "app.json", cwd=folder)
+            self.assertEqual(done.returncode, 2)
+            self.assertIn("/xnodes/0/source: XNode 'fcd.pre' joins sources", done.stderr)
+            self.assertFalse((folder / "app.json").exists())
 
     def test_usage(self):
         for arguments in ([], ["nonsense"], ["solve"], ["simulate", "--app"], ["run", "--app", "x"],

@@ -256,7 +256,9 @@ class Periodic(unittest.TestCase):
         for chain in self.app["chains"]:
             del chain["deadline_us"]
         self.assertEqual(json.loads(self.solve("--json").stdout)["objective"]["of"], "worst case")
-        self.assertRegex(self.solve().stdout, r"(?m)^  objective: the least weighted sum of worst case$")
+        self.assertRegex(self.solve().stdout, r"(?m)^  objective: the least weighted sum of worst case,$")
+        self.assertRegex(self.solve().stdout, r"(?m)^    the largest of them within 5 % of the least found \([0-9.]+ ms\)$")
+        self.assertRegex(self.solve("--objective", "sum").stdout, r"(?m)^  objective: the least weighted sum of worst case$")
 
     def test_a_deadline_below_the_bound_is_proven_impossible(self):
         self.app["chains"][0]["deadline_us"] = 1000

@@ -41,6 +41,7 @@ Json to_json(const story::Account& account) {
               {"handover_us", step.handover_us},
               {"sensor_us", step.sensor_us},
               {"waited_us", step.waited_us},
+              {"held_us", step.held_us},
               {"ran_us", step.ran_us},
               {"switched_us", step.switched_us},
               {"suspended_us", step.suspended_us},

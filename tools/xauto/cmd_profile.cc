@@ -409,22 +409,11 @@ Status write_app(const ProfileFlags& flags, const Profile& profile, const Platfo
         path);
     return {};
   }
-  XAUTO_ASSIGN(AppSpec app, to_app(profile, platform, from_of(flags)));
+  XAUTO_ASSIGN(AppSpec app, to_app(profile, platform, from_of(flags), flags.app_version == 2));
   const std::string why = why_version_2(profile, app);
   if (flags.app_version == 1 && app.version == 2)
     return fail(ErrorCode::kInvalid, why + ", which version 1 cannot say", "--app-version 1",
                 "leave it out");
-  if (app.version == 1 && (flags.app_version == 2 || !why.empty())) {
-    AppSpec exact = app;
-    for (std::size_t i = 0; i < exact.sources.size(); ++i) {
-      exact.sources[i].period = profile.sources[i].period;
-      exact.sources[i].jitter_us = profile.sources[i].jitter_us;
-    }
-    if (auto periodic = as_version_2(std::move(exact)))
-      app = std::move(*periodic);
-    else
-      log::warn("{} is of version 1: {}", path, periodic.error().to_string());
-  }
   if (app.version == 2 && !why.empty())
     log::info("{} is of version 2, releases on and on: {}", path, why);
   std::string text = to_json(app);

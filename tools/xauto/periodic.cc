@@ -126,9 +126,10 @@ std::string aim_of(const AppSpec& app, const steady::Answer& answer, steady::Aim
   if (aim == steady::Aim::kLargest)
     return fmt::format("{}the least of the largest {}, and of their sum", first, of);
   const std::string sum = fmt::format("{}the least weighted sum of {}", first, of);
-  if (aim == steady::Aim::kSum || !deadlines) return sum;
-  return fmt::format("{},\n    the largest of them within 5 % of the least found ({:.1f} %)", sum,
-                     100 * answer.least_largest);
+  if (aim == steady::Aim::kSum) return sum;
+  return fmt::format("{},\n    the largest of them within 5 % of the least found ({})", sum,
+                     deadlines ? fmt::format("{:.1f} %", 100 * answer.least_largest)
+                               : fmt::format("{:.3f} ms", answer.least_largest / 1000));
 }
 
 /// How far the policy is from the least of any, all chains together.
@@ -173,8 +174,7 @@ Json objective_of(const AppSpec& app, const steady::Answer& answer, steady::Aim 
                {"of", app.has_deadlines() ? "worst case / deadline" : "worst case"},
                {"largest", of(answer.totals.largest, answer.bounds.largest)},
                {"sum", of(answer.totals.sum, answer.bounds.sum)}};
-  if (aim == steady::Aim::kMix && app.has_deadlines())
-    told["least_largest_found"] = answer.least_largest;
+  if (aim == steady::Aim::kMix) told["least_largest_found"] = answer.least_largest;
   return told;
 }
 

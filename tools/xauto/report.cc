@@ -147,6 +147,9 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
                          r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
     }
   }
+  if (const runtime::EarlyStartReport& early = run.report.early_starts; early.jobs > 0)
+    out += fmt::format("  {}{} jobs began before their planned start, together by {} ms\n", who,
+                       early.jobs, in_ms(early.sum_us, 1));
   for (const runtime::FailedPreemptionReport& f : run.report.failed_preemptions)
     for (const std::string& text : runtime::words_of(f)) out += fmt::format("  {}{}\n", who, text);
   for (const runtime::XNodeReport& x : run.report.xnodes)
@@ -505,6 +508,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                        {"assumed", of.assumed},    {"shared", of.shared},
                        {"gated", of.gated},        {"held_up", of.held_up},
                        {"misplaced", of.misplaced}};
+    if (const runtime::EarlyStartReport& early = run.report.early_starts; early.on)
+      j["early_starts"] = {{"jobs", early.jobs}, {"sum_us", early.sum_us}};
     Json taken = Json::array();
     for (const runtime::TakenReport& of : run.report.taken)
       taken.push_back({{"what", of.what}, {"us", of.us}});

@@ -21,7 +21,7 @@
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
 #define XAUTO_EV_ACTIVATE 2  /* all inputs of a module are fresh: its chain starts */
 #define XAUTO_EV_READY 3     /* the job was handed to the worker of its XPU */
-#define XAUTO_EV_START 4     /* the worker asked the coordinator for the XPU */
+#define XAUTO_EV_START 4     /* the worker asked the coordinator for the XPU; arg = held before, us */
 #define XAUTO_EV_RUN 5       /* the worker may run: exec() is entered */
 #define XAUTO_EV_SUSPEND 6   /* the management thread was told to suspend the job's queue */
 #define XAUTO_EV_SUSPENDED 7 /* ... and has done so */
@@ -72,8 +72,7 @@
 #define XAUTO_DROP_DIED 4     /* the process of the module died */
 #define XAUTO_DROP_HUNG 5     /* an XNode ran past its hang limit and was given up */
 #define XAUTO_DROP_OFF 6      /* none: the release's table has the module off */
-#define XAUTO_DROP_SKIPPED \
-  7 /* none: told to skip what comes while it, or one before, is busy; or a change drains */
+#define XAUTO_DROP_SKIPPED 7  /* none: skipped as was told, or a change of tables drains */
 
 #define XAUTO_EV_NONE 0xffff /* xnode, module, xpu: not applicable */
 
@@ -89,14 +88,14 @@
  * @stamp:  of the slot in the ring (lib/trace/trace.h), zero elsewhere
  */
 struct xauto_event {
-  __u64 ts_ns;
-  __u64 seq;
-  __u16 xnode;
-  __u16 module;
-  __u16 xpu;
-  __u16 kind;
-  __u32 arg;
-  __u32 stamp;
+	__u64 ts_ns;
+	__u64 seq;
+	__u16 xnode;
+	__u16 module;
+	__u16 xpu;
+	__u16 kind;
+	__u32 arg;
+	__u32 stamp;
 };
 
 #endif /* _UAPI_XAUTO_EVENT_H */

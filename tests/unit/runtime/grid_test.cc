@@ -159,5 +159,15 @@ TEST(Urgency, KeyAndHoldOfAnUrgentReleaseAreEarlier) {
   EXPECT_EQ(Urgency::of_priority(5).key(0, 0, true), coord::key_of_priority(5));
 }
 
+TEST(Urgency, PlannedStartsStandInThePlaceOfHolds) {
+  Urgency key = Urgency::of_keys({1000}, {}, 300);
+  key.plan_starts({500, 700}, {});
+  EXPECT_TRUE(key.holds());
+  EXPECT_EQ(key.hold(10'000'000, 1), 10'700'000);
+  EXPECT_EQ(key.hold(10'000'000, 1, true), 10'000'000) << "an urgent release has none";
+  key.plan_starts({500, 700}, {250});
+  EXPECT_EQ(key.hold(10'000'000, 1, true), 10'250'000);
+}
+
 }  // namespace
 }  // namespace xauto::runtime

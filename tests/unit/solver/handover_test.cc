@@ -44,6 +44,7 @@ std::optional<KeyPolicy> solved_quickly(const AppSpec& app, const Platform& plat
   options.wishes.forbids = forbids;
   options.max_evaluations = 300;
   options.seed = seed;
+  options.order = false;
   const auto answer = solve(app, platform, options);
   if (!answer || answer->outcome != Outcome::kPolicy) return std::nullopt;
   return answer->policy;

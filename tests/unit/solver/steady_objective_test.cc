@@ -122,8 +122,9 @@ TEST(SteadyObjective, NoMixIsWorseThanItsHint) {
       ASSERT_TRUE(after && after->outcome == Outcome::kPolicy) << seed;
       EXPECT_LE(after->totals.largest, 1) << seed;
       // Unless a largest was found that puts the hint above the limit.
-      if (before->totals.largest <= kWithin * after->least_largest)
+      if (before->totals.largest <= kWithin * after->least_largest) {
         EXPECT_LE(after->totals.sum, before->totals.sum * (1 + 1e-12)) << seed;
+      }
     }
   }
   EXPECT_GT(asked, 15);

@@ -58,6 +58,18 @@ TEST(Account, APreemptedStepSaysByWhomAndForHowLong) {
   EXPECT_EQ(sum(a), a.latency_us);
 }
 
+TEST(Account, WhatAWorkerSaysOfAHoldIsInTheStory) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  for (trace::Event& event : tiny.trace.events)
+    if (event.kind == XAUTO_EV_START && event.xnode == 2) event.arg = 3;
+  EXPECT_EQ(account(read(tiny), 0).steps[0].held_us, 3);
+  for (trace::Event& event : tiny.trace.events)
+    if (event.kind == XAUTO_EV_START && event.xnode == 2) event.arg = 4'000'000'000;
+  const Account damaged = account(read(tiny), 0);
+  EXPECT_EQ(damaged.steps[0].held_us, damaged.steps[0].waited_us) << "no more than it waited";
+}
+
 /// As Tiny::release(), but BIG's end was lost: CAM's output is the last.
 Tiny only_cam_ends() {
   Tiny tiny;
@@ -230,6 +242,11 @@ TEST(Account, WaitingIsSaidWithTheShareOfEach) {
   EXPECT_EQ(reasons_of(step, 50),
             "waited 0.100 ms for a (0.030); for 0.070 ms of it nobody had the XPU");
   EXPECT_EQ(reasons_of(step, 101), "");
+  step.held_us = 60;
+  step.waited_for = {{"a", 30}};
+  EXPECT_EQ(reasons_of(step, 20), "held for 0.060 ms by its policy; waited 0.040 ms for a (0.030)");
+  step.held_us = 100;
+  EXPECT_EQ(reasons_of(step, 20), "held for 0.100 ms by its policy");
   step = {};
   step.switched_us = 60;
   step.suspended_us = 200;

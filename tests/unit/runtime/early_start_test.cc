@@ -1,0 +1,304 @@
+// SPDX-License-Identifier: Apache-2.0
+// When a job may start before its planned start. Times are in us after the grid's begin, and no clock runs, but for the
+// last tests, where a thread waits.
+#include "runtime/early_start.h"
+
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "base/clock.h"
+#include "base/index.h"
+#include "model/periodic.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kBegin = 1'000'000'000;
+constexpr std::int64_t kLong = 60'000'000'000;  ///< nobody waits for so long unless he is not woken
+
+/// Modules of one XNode each, with the source of the same name or behind another.
+class Example {
+ public:
+  Example() {
+    app_.version = 2;
+    app_.name = "example";
+    platform_.xpus = {{"dla0", "dla", false}, {"gpu0", "gpu", true, 100}, {"cpu0", "cpu"}};
+  }
+  int source(std::int64_t period_us, std::size_t clock = 0, std::int64_t offset_us = 0) {
+    while (app_.clocks.size() <= clock) app_.clocks.push_back({"c" + std::to_string(clock), 1000});
+    const auto s = static_cast<int>(app_.sources.size());
+    SourceSpec& spec = app_.sources.emplace_back();
+    spec.name = "s" + std::to_string(s);
+    spec.period = {period_us};
+    spec.offset_us = offset_us;
+    spec.clock = static_cast<int>(clock);
+    return s;
+  }
+  int xnode(const std::string& xpu, std::vector<int> sources, std::vector<std::int64_t> key_us,
+            std::vector<std::int64_t> hold_us = {}) {
+    const auto x = static_cast<int>(app_.xnodes.size());
+    XNodeSpec& spec = app_.xnodes.emplace_back();
+    spec.name = "x" + std::to_string(x);
+    spec.module = "m" + std::to_string(x);
+    spec.wcet_us = {{"dla", 1000}, {"gpu", 1000}, {"cpu", 1000}};
+    spec.sources = std::move(sources);
+    policy_.placements.push_back(
+        {platform_.find(xpu), std::move(key_us), std::move(hold_us), {}, {}});
+    return x;
+  }
+  void edge(int u, int v) { app_.edges.emplace_back(u, v); }
+  void sample(int u, int v) { app_.samples.emplace_back(u, v); }
+  void urgent(int source, std::int64_t by_us) {
+    app_.sources[at(source)].urgent = UrgentSpec{by_us, 1'000'000};
+  }
+  EarlyStart& made() {
+    if (!early_) {
+      complete_modules(app_);
+      early_ = EarlyStart::make(app_, platform_, policy_).value();
+      begin(kBegin);
+    }
+    return *early_;
+  }
+  /// All sources are on our clock, but for the one that publishes by itself.
+  void begin(std::int64_t start_ns) {
+    (void)made();
+    for (std::size_t s = 0; s < app_.sources.size(); ++s)
+      if (static_cast<int>(s) != pushed) early_->due(s, start_ns);
+  }
+  int pushed = -1;
+  /// Of activation 0 of `x`, which is not urgent.
+  [[nodiscard]] PlannedJob job(int x) {
+    return {kBegin + policy_.placements[at(x)].key_us[0] * 1000,
+            kBegin + made().planned_us().ordinary[at(x)].at(0) * 1000};
+  }
+  [[nodiscard]] bool may(int x) { return made().may_start(at(x), job(x)); }
+  void ended(int x, std::uint64_t n) { made().ended(at(x), n); }
+
+ private:
+  AppSpec app_;
+  Platform platform_;
+  KeyPolicy policy_;
+  std::unique_ptr<EarlyStart> early_;
+};
+
+TEST(EarlyStart, WaitsForAllOfSmallerKeysAlsoForThoseThatAreNotReleased) {
+  for (const char* xpu : {"dla0", "gpu0"}) {
+    Example e;
+    const int slow = e.source(100'000), fast = e.source(20'000);
+    const int held = e.xnode(xpu, {slow}, {60'000}, {50'000});
+    const int often = e.xnode(xpu, {fast}, {10'000});
+    EXPECT_FALSE(e.may(held));
+    e.ended(often, 0);
+    EXPECT_FALSE(e.may(held)) << "nothing that is released by now has a smaller key";
+    e.ended(often, 1);
+    EXPECT_FALSE(e.may(held)) << "activation 2 has its key at 50 ms";
+    e.ended(often, 2);
+    EXPECT_TRUE(e.may(held)) << "activation 3 has its key at 70 ms";
+  }
+}
+
+TEST(EarlyStart, AnEqualKeyIsWaitedForAndALargerOneIsNot) {
+  Example e;
+  const int s = e.source(100'000);
+  const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
+  const int equal = e.xnode("dla0", {s}, {60'000});
+  (void)e.xnode("dla0", {s}, {60'001});
+  (void)e.xnode("cpu0", {s}, {1'000});
+  EXPECT_FALSE(e.may(held));
+  e.ended(equal, 0);
+  EXPECT_TRUE(e.may(held));
+}
+
+TEST(EarlyStart, KeysAreThoseOfTheActivation) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(50'000);
+  const int held = e.xnode("dla0", {s}, {70'000}, {60'000});
+  const int other = e.xnode("dla0", {t}, {10'000, 30'000});
+  e.ended(other, 0);
+  EXPECT_TRUE(e.may(held)) << "50 + 30 ms";
+  Example f;
+  (void)f.source(100'000), (void)f.source(50'000);
+  const int again = f.xnode("dla0", {s}, {70'000}, {60'000});
+  const int first = f.xnode("dla0", {t}, {30'000, 10'000});
+  f.ended(first, 0);
+  EXPECT_FALSE(f.may(again)) << "50 + 10 ms";
+}
+
+TEST(EarlyStart, WherePreemptingIsFreeNobodyOnTheXpuIsWaitedFor) {
+  Example e;
+  const int s = e.source(100'000);
+  const int held = e.xnode("cpu0", {s}, {60'000}, {50'000});
+  (void)e.xnode("cpu0", {s}, {10'000});
+  EXPECT_TRUE(e.may(held));
+}
+
+/// A wrong version has the hold in place of the planned start: what is behind a held job then starts when that job has
+/// ended early, before one of a smaller key that its window counts on.
+TEST(EarlyStart, WhoIsBehindAHeldJobWaitsLikeIt) {
+  Example e;
+  const int s = e.source(100'000);
+  const int held = e.xnode("cpu0", {s}, {60'000}, {50'000});
+  const int behind = e.xnode("dla0", {}, {80'000});
+  const int other = e.xnode("dla0", {s}, {70'000}, {50'000});
+  const int free = e.xnode("dla0", {s}, {90'000});
+  e.edge(held, behind);
+  EXPECT_EQ(e.made().planned_us().ordinary[at(behind)], std::vector<std::int64_t>{50'000});
+  EXPECT_TRUE(e.made().planned_us().ordinary[at(free)].empty()) << "no hold delays it";
+  EXPECT_TRUE(e.may(held));
+  e.ended(held, 0);
+  EXPECT_FALSE(e.may(behind));
+  e.ended(other, 0);
+  EXPECT_TRUE(e.may(behind));
+}
+
+TEST(EarlyStart, AReaderWaitsForWhatItsPlanReads) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(20'000);
+  const int reader = e.xnode("cpu0", {s}, {60'000}, {30'000});
+  const int read = e.xnode("gpu0", {t}, {8'000});
+  e.sample(read, reader);
+  EXPECT_FALSE(e.may(reader));
+  e.ended(read, 0);
+  EXPECT_FALSE(e.may(reader)) << "activation 1 has its key at 28 ms";
+  e.ended(read, 1);
+  EXPECT_TRUE(e.may(reader)) << "activation 2 has it at 48 ms";
+}
+
+TEST(EarlyStart, OfAnotherClockItWaitsForAllThatIsReleasedBefore) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(20'000, 1, 10'000);
+  const int reader = e.xnode("cpu0", {s}, {60'000}, {30'000});
+  const int read = e.xnode("gpu0", {t}, {18'000});
+  e.sample(read, reader);
+  EXPECT_FALSE(e.may(reader));
+  e.ended(read, 0);
+  EXPECT_TRUE(e.may(reader)) << "activation 1 is released at 30 ms, which is no sooner";
+  Example f;
+  (void)f.source(100'000), (void)f.source(20'000, 1, 9'999);
+  const int other = f.xnode("cpu0", {s}, {60'000}, {30'000});
+  const int sooner = f.xnode("gpu0", {t}, {18'000});
+  f.sample(sooner, other);
+  f.ended(sooner, 0);
+  EXPECT_FALSE(f.may(other)) << "it has its key at 48 ms, and is released before 30";
+}
+
+TEST(EarlyStart, WhatMayBeUrgentHasTheKeyOfAnUrgentRelease) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(50'000);
+  const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
+  const int other = e.xnode("dla0", {t}, {20'000});
+  e.urgent(t, 11'000);
+  e.ended(other, 0);
+  EXPECT_FALSE(e.may(held)) << "50 + 20 - 11 ms";
+  e.ended(other, 1);
+  EXPECT_TRUE(e.may(held));
+}
+
+TEST(EarlyStart, WhatWillNotComeHasEnded) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(20'000);
+  const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
+  const int often = e.xnode("dla0", {t}, {10'000});
+  e.ended(often, 2);
+  EXPECT_TRUE(e.may(held));
+  e.ended(often, 1);  // told late: an older one, by another thread
+  EXPECT_TRUE(e.may(held));
+}
+
+TEST(EarlyStart, OfAClockThatIsNotOursTheNextReleaseIsAsEarlyAsItMayBe) {
+  const auto may_with_key = [](std::int64_t key_us, int releases) {
+    Example e;
+    const int s = e.source(100'000);
+    e.pushed = e.source(20'000, 1);  // 1000 ppm
+    const int held = e.xnode("dla0", {s}, {key_us}, {40'000});
+    const int other = e.xnode("dla0", {e.pushed}, {10'000});
+    e.ended(other, 1);
+    for (int n = 0; n < releases; ++n)
+      e.made().released(at(e.pushed), static_cast<std::uint64_t>(n), kBegin + n * 20'000'000);
+    return e.may(held);
+  };
+  EXPECT_FALSE(may_with_key(41'000, 0)) << "nothing is known of it";
+  EXPECT_FALSE(may_with_key(49'970, 1))
+      << "activation 2 is 40 ms after 0, less 40 us, and rounding";
+  EXPECT_TRUE(may_with_key(49'950, 1));
+  EXPECT_TRUE(may_with_key(49'970, 2)) << "of a newer one less is in doubt";
+  EXPECT_FALSE(may_with_key(49'985, 2));
+}
+
+TEST(EarlyStart, OfTwoSourcesOfAComponentTheEarlierCounts) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(50'000), later = e.source(50'000, 0, 7'000);
+  const int held = e.xnode("dla0", {s}, {60'000}, {40'000});
+  const int join = e.xnode("dla0", {t, later}, {10'000});
+  e.ended(join, 0);
+  EXPECT_FALSE(e.may(held)) << "activation 1 is released at 50 ms, and has its key at 60";
+  Example f;
+  (void)f.source(100'000), (void)f.source(50'000, 0, 1'000), (void)f.source(50'000, 0, 7'000);
+  const int again = f.xnode("dla0", {s}, {60'000}, {40'000});
+  const int one = f.xnode("dla0", {t, later}, {10'000});
+  f.ended(one, 0);
+  EXPECT_TRUE(f.may(again)) << "51 + 10 ms";
+}
+
+TEST(EarlyStart, AJobThatSleepsIsWokenWhenTheLastReasonHasGone) {
+  Example e;
+  const int s = e.source(100'000), t = e.source(20'000);
+  const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
+  const int often = e.xnode("dla0", {t}, {10'000});
+  EarlyStart& early = e.made();
+  const std::int64_t from = now_ns() + kLong;
+  e.begin(from);
+  const PlannedJob job{from + 60'000'000, from + 50'000'000};
+  bool slept = false;
+  std::thread thread([&] { slept = early.wait(at(held), job); });
+  for (std::uint64_t n = 0; n < 3; ++n) early.ended(at(often), n);
+  thread.join();
+  EXPECT_EQ(early.count().jobs, 1U);
+  EXPECT_GT(early.count().sum_ns, kLong / 2);
+  EXPECT_FALSE(early.wait(at(held), job)) << "it does not sleep";
+  EXPECT_EQ(early.count().jobs, 2U);
+}
+
+TEST(EarlyStart, WithAReasonItSleepsUntilThePlannedStart) {
+  Example e;
+  const int s = e.source(100'000);
+  const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
+  (void)e.xnode("dla0", {s}, {10'000});
+  EarlyStart& early = e.made();
+  const std::int64_t from = now_ns();
+  e.begin(from);
+  EXPECT_TRUE(early.wait(at(held), {from + 60'000'000, from + 50'000'000}));
+  EXPECT_GE(now_ns(), from + 50'000'000);
+  EXPECT_FALSE(early.wait(at(held), {from + 60'000'000, from + 50'000'000})) << "it has come";
+  EXPECT_EQ(early.count().jobs, 0U);
+}
+
+/// Two jobs wait, and look at each other's XNode: the one of the smaller key goes, then the other.
+TEST(EarlyStart, OfTwoThatWaitOneLetsTheOtherGo) {
+  Example e;
+  const int s = e.source(100'000);
+  const int first = e.xnode("dla0", {s}, {60'000}, {50'000});
+  const int second = e.xnode("dla0", {s}, {70'000}, {55'000});
+  EarlyStart& early = e.made();
+  const std::int64_t from = now_ns() + kLong;
+  e.begin(from);
+  std::vector<int> order;
+  std::thread thread([&] {
+    (void)early.wait(at(second), {from + 70'000'000, from + 55'000'000});
+    order.push_back(second);
+  });
+  EXPECT_FALSE(early.wait(at(first), {from + 60'000'000, from + 50'000'000}));
+  order.push_back(first);
+  early.ended(at(first), 0);
+  thread.join();
+  EXPECT_EQ(order, (std::vector<int>{first, second}));
+  EXPECT_EQ(early.count().jobs, 2U);
+}
+
+}  // namespace
+}  // namespace xauto::runtime
