@@ -12,7 +12,9 @@ namespace xauto::solver::steady {
 namespace {
 
 // Parts of the time, and of the budget, for one search. Chosen.
-constexpr double kForUsual = 0.25, kForProbe = 0.15, kForLast = 0.5;
+constexpr double kForUsual = 0.2, kForProbe = 0.3, kForLast = 0.5;
+/// Where a percentage is too much and none is known that is not, so many percent of it are tried. Chosen.
+constexpr std::int64_t kFirstPart = 75;
 constexpr std::int64_t kPartOfBudget = 8;
 constexpr double kLeastS = 0.02;  ///< for one search
 /// A play is about so many jobs, within these limits of seconds.
@@ -179,12 +181,12 @@ class LeastLate {
       found_.in_time_pct = largest(*found_.certified_pct, true);
   }
 
-  /// Down from a percentage that is too much, in steps that double, then between.
+  /// Below a percentage that is too much, by halves, from where a first policy is likely: it ends a search.
   std::optional<std::int64_t> largest(std::int64_t high, bool in_time) {
     std::int64_t low = 0;
-    for (std::int64_t step = 1; high - low > 1 && !over(); step *= 2) {
+    while (high - low > 1 && !over()) {
       const std::int64_t percent =
-          low > 0 ? (low + high) / 2 : std::max<std::int64_t>(1, high - step);
+          low > 0 ? (low + high) / 2 : std::max<std::int64_t>(1, high * kFirstPart / 100);
       const auto answer = search(at_percent(app_, percent), kForProbe, true);
       if (answer && answer->outcome == Outcome::kUnsustainable) found_.overloaded_pct = percent;
       const bool enough =

@@ -28,7 +28,7 @@ namespace steady = solver::steady;
 
 constexpr std::size_t kMostPrices = 12;  ///< of modules in one line
 /// Where nothing is certified, so much of the time limit more: for the best policy, and for what would help.
-constexpr double kForUncertified = 0.3, kForRemedies = 0.2;
+constexpr double kForUncertified = 0.4, kForRemedies = 0.2;
 
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
@@ -434,7 +434,7 @@ Result<int> solve_uncertified(const AppSpec& app, const Platform& platform,
       fmt::format("{} on {}: nothing is certified: {}\n\n", app.name, platform.name,
                   proven ? "no policy keeps up: " + answer.overload.text
                          : "neither a policy that keeps up was found in this time, nor a "
-                           "proof that there is none");
+                           "proof that there is none (--time-limit-s)");
   if (proven) tell_proof(app, answer.overload, told, text);
   const std::vector<RareWcet> rare = rare_in_overload(app, platform, asked.wishes);
   if (!rare.empty()) told["rare_wcets"] = to_json(rare, app);
