@@ -22,9 +22,9 @@ constexpr std::int64_t kBegin = 1'000'000'000;
 constexpr std::int64_t kLong = 60'000'000'000;  ///< nobody waits for so long unless he is not woken
 
 /// Modules of one XNode each, with the source of the same name or behind another.
-class Example {
+class EarlyExample {
  public:
-  Example() {
+  EarlyExample() {
     app_.version = 2;
     app_.name = "example";
     platform_.xpus = {{"dla0", "dla", false}, {"gpu0", "gpu", true, 100}, {"cpu0", "cpu"}};
@@ -88,7 +88,7 @@ class Example {
 
 TEST(EarlyStart, WaitsForAllOfSmallerKeysAlsoForThoseThatAreNotReleased) {
   for (const char* xpu : {"dla0", "gpu0"}) {
-    Example e;
+    EarlyExample e;
     const int slow = e.source(100'000), fast = e.source(20'000);
     const int held = e.xnode(xpu, {slow}, {60'000}, {50'000});
     const int often = e.xnode(xpu, {fast}, {10'000});
@@ -103,7 +103,7 @@ TEST(EarlyStart, WaitsForAllOfSmallerKeysAlsoForThoseThatAreNotReleased) {
 }
 
 TEST(EarlyStart, AnEqualKeyIsWaitedForAndALargerOneIsNot) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000);
   const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
   const int equal = e.xnode("dla0", {s}, {60'000});
@@ -115,13 +115,13 @@ TEST(EarlyStart, AnEqualKeyIsWaitedForAndALargerOneIsNot) {
 }
 
 TEST(EarlyStart, KeysAreThoseOfTheActivation) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(50'000);
   const int held = e.xnode("dla0", {s}, {70'000}, {60'000});
   const int other = e.xnode("dla0", {t}, {10'000, 30'000});
   e.ended(other, 0);
   EXPECT_TRUE(e.may(held)) << "50 + 30 ms";
-  Example f;
+  EarlyExample f;
   (void)f.source(100'000), (void)f.source(50'000);
   const int again = f.xnode("dla0", {s}, {70'000}, {60'000});
   const int first = f.xnode("dla0", {t}, {30'000, 10'000});
@@ -130,7 +130,7 @@ TEST(EarlyStart, KeysAreThoseOfTheActivation) {
 }
 
 TEST(EarlyStart, WherePreemptingIsFreeNobodyOnTheXpuIsWaitedFor) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000);
   const int held = e.xnode("cpu0", {s}, {60'000}, {50'000});
   (void)e.xnode("cpu0", {s}, {10'000});
@@ -140,7 +140,7 @@ TEST(EarlyStart, WherePreemptingIsFreeNobodyOnTheXpuIsWaitedFor) {
 /// A wrong version has the hold in place of the planned start: what is behind a held job then starts when that job has
 /// ended early, before one of a smaller key that its window counts on.
 TEST(EarlyStart, WhoIsBehindAHeldJobWaitsLikeIt) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000);
   const int held = e.xnode("cpu0", {s}, {60'000}, {50'000});
   const int behind = e.xnode("dla0", {}, {80'000});
@@ -157,7 +157,7 @@ TEST(EarlyStart, WhoIsBehindAHeldJobWaitsLikeIt) {
 }
 
 TEST(EarlyStart, AReaderWaitsForWhatItsPlanReads) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(20'000);
   const int reader = e.xnode("cpu0", {s}, {60'000}, {30'000});
   const int read = e.xnode("gpu0", {t}, {8'000});
@@ -170,7 +170,7 @@ TEST(EarlyStart, AReaderWaitsForWhatItsPlanReads) {
 }
 
 TEST(EarlyStart, OfAnotherClockItWaitsForAllThatIsReleasedBefore) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(20'000, 1, 10'000);
   const int reader = e.xnode("cpu0", {s}, {60'000}, {30'000});
   const int read = e.xnode("gpu0", {t}, {18'000});
@@ -178,7 +178,7 @@ TEST(EarlyStart, OfAnotherClockItWaitsForAllThatIsReleasedBefore) {
   EXPECT_FALSE(e.may(reader));
   e.ended(read, 0);
   EXPECT_TRUE(e.may(reader)) << "activation 1 is released at 30 ms, which is no sooner";
-  Example f;
+  EarlyExample f;
   (void)f.source(100'000), (void)f.source(20'000, 1, 9'999);
   const int other = f.xnode("cpu0", {s}, {60'000}, {30'000});
   const int sooner = f.xnode("gpu0", {t}, {18'000});
@@ -188,7 +188,7 @@ TEST(EarlyStart, OfAnotherClockItWaitsForAllThatIsReleasedBefore) {
 }
 
 TEST(EarlyStart, WhatMayBeUrgentHasTheKeyOfAnUrgentRelease) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(50'000);
   const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
   const int other = e.xnode("dla0", {t}, {20'000});
@@ -200,7 +200,7 @@ TEST(EarlyStart, WhatMayBeUrgentHasTheKeyOfAnUrgentRelease) {
 }
 
 TEST(EarlyStart, WhatWillNotComeHasEnded) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(20'000);
   const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
   const int often = e.xnode("dla0", {t}, {10'000});
@@ -212,7 +212,7 @@ TEST(EarlyStart, WhatWillNotComeHasEnded) {
 
 TEST(EarlyStart, OfAClockThatIsNotOursTheNextReleaseIsAsEarlyAsItMayBe) {
   const auto may_with_key = [](std::int64_t key_us, int releases) {
-    Example e;
+    EarlyExample e;
     const int s = e.source(100'000);
     e.pushed = e.source(20'000, 1);  // 1000 ppm
     const int held = e.xnode("dla0", {s}, {key_us}, {40'000});
@@ -231,13 +231,13 @@ TEST(EarlyStart, OfAClockThatIsNotOursTheNextReleaseIsAsEarlyAsItMayBe) {
 }
 
 TEST(EarlyStart, OfTwoSourcesOfAComponentTheEarlierCounts) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(50'000), later = e.source(50'000, 0, 7'000);
   const int held = e.xnode("dla0", {s}, {60'000}, {40'000});
   const int join = e.xnode("dla0", {t, later}, {10'000});
   e.ended(join, 0);
   EXPECT_FALSE(e.may(held)) << "activation 1 is released at 50 ms, and has its key at 60";
-  Example f;
+  EarlyExample f;
   (void)f.source(100'000), (void)f.source(50'000, 0, 1'000), (void)f.source(50'000, 0, 7'000);
   const int again = f.xnode("dla0", {s}, {60'000}, {40'000});
   const int one = f.xnode("dla0", {t, later}, {10'000});
@@ -246,7 +246,7 @@ TEST(EarlyStart, OfTwoSourcesOfAComponentTheEarlierCounts) {
 }
 
 TEST(EarlyStart, AJobThatSleepsIsWokenWhenTheLastReasonHasGone) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000), t = e.source(20'000);
   const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
   const int often = e.xnode("dla0", {t}, {10'000});
@@ -265,7 +265,7 @@ TEST(EarlyStart, AJobThatSleepsIsWokenWhenTheLastReasonHasGone) {
 }
 
 TEST(EarlyStart, WithAReasonItSleepsUntilThePlannedStart) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000);
   const int held = e.xnode("dla0", {s}, {60'000}, {50'000});
   (void)e.xnode("dla0", {s}, {10'000});
@@ -280,7 +280,7 @@ TEST(EarlyStart, WithAReasonItSleepsUntilThePlannedStart) {
 
 /// Two jobs wait, and look at each other's XNode: the one of the smaller key goes, then the other.
 TEST(EarlyStart, OfTwoThatWaitOneLetsTheOtherGo) {
-  Example e;
+  EarlyExample e;
   const int s = e.source(100'000);
   const int first = e.xnode("dla0", {s}, {60'000}, {50'000});
   const int second = e.xnode("dla0", {s}, {70'000}, {55'000});
