@@ -91,12 +91,13 @@ class App {
   /// at most `limit` (1 us to 1e6 s) later. `xauto profile` writes it into app.json; what app.json says
   /// counts, and a person may change it there. A deadline of a single chain goes before it.
   App& deadline(std::chrono::microseconds limit);
-  /// The same of the chain from source `from` until `to` is published; or until XModule `end` has ended.
+  /// The same of the chain from source `from` until `to` is published.
   template <class From, class To>
   App& deadline(const Topic<From>& from, const Topic<To>& to, std::chrono::microseconds limit) {
     add_deadline(detail::topic_spec(from), detail::topic_spec(to), nullptr, limit);
     return *this;
   }
+  /// The same of the chain from source `from` until module `end` has ended.
   template <class From, class State>
   App& deadline(const Topic<From>& from, const XModule<State>& end,
                 std::chrono::microseconds limit) {

@@ -21,7 +21,7 @@
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
 #define XAUTO_EV_ACTIVATE 2  /* all inputs of a module are fresh: its chain starts */
 #define XAUTO_EV_READY 3     /* the job was handed to the worker of its XPU */
-#define XAUTO_EV_START 4     /* the worker asked the coordinator for the XPU; arg = held before, us */
+#define XAUTO_EV_START 4     /* the worker asked for the XPU; arg = us that it was held before */
 #define XAUTO_EV_RUN 5       /* the worker may run: exec() is entered */
 #define XAUTO_EV_SUSPEND 6   /* the management thread was told to suspend the job's queue */
 #define XAUTO_EV_SUSPENDED 7 /* ... and has done so */
