@@ -2,9 +2,9 @@
 // Where nothing can be certified a robot runs all the same: the policy that is least late at usual times, and how far
 // its app is from one that can be certified.
 //
-// Candidates are certified for the same app with shorter jobs: at its usual times, and with all WCETs times a common
-// factor. One is made without a search, so there always is one. They are played at usual times, as they are, and without
-// what only a certificate needs: holds and order.
+// Candidates are certified for the same app with shorter jobs: at its usual times, and with all WCETs times a
+// common factor. One is made without a search, so there always is one. They are played at usual times, as they
+// are, and without what only a certificate needs: holds and order.
 #pragma once
 
 #include <cstdint>
