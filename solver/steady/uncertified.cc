@@ -12,13 +12,13 @@ namespace xauto::solver::steady {
 namespace {
 
 // Parts of the time, and of the budget, for one search. Chosen.
-constexpr double kForUsual = 0.2, kForProbe = 0.3, kForLast = 0.5;
+constexpr double kForProbe = 0.3, kForLast = 0.3, kForUsual = 0.6;
 /// Where a percentage is too much and none is known that is not, so many percent of it are tried. Chosen.
 constexpr std::int64_t kFirstPart = 75;
 constexpr std::int64_t kPartOfBudget = 8;
 constexpr double kLeastS = 0.02;  ///< for one search
 /// A play is about so many jobs, within these limits of seconds.
-constexpr double kPlayedJobs = 200'000;
+constexpr double kPlayedJobs = 100'000;
 constexpr std::int64_t kMostSeconds = 100;
 
 double seconds_until(SteadyTime deadline) {
@@ -115,9 +115,14 @@ class LeastLate {
           static_cast<double>(p.scale * kMillion) / static_cast<double>(p.period_of(i));
     found_.seconds = std::clamp(static_cast<std::int64_t>(kPlayedJobs / jobs_a_second),
                                 std::int64_t{1}, kMostSeconds);
-    offer(constructed(p));
-    search(usual_, kForUsual, false);
+    add(search(usual_, kForProbe, Enough::kInTime));
     find_percents();
+    add(search(usual_, kForUsual, Enough::kTheEnd));
+    // The newest was searched for longest, or is for the longest jobs.
+    std::ranges::reverse(candidates_);
+    candidates_.push_back(constructed(p));
+    for (const KeyPolicy& candidate : candidates_)
+      if (found_.policy.placements.empty() || !over()) offer(candidate);
     found_.policy.app = app_.name;
     found_.policy.app_hash = app_.hash();
     found_.policy.platform = platform_.name;
@@ -140,8 +145,9 @@ class LeastLate {
     return seconds_until(deadline_) <= 0 || (options_.stop != nullptr && options_.stop->load());
   }
 
-  /// `first`: the first policy is enough.
-  std::optional<Certifies> search(const AppSpec& app, double part, bool first) {
+  enum class Enough { kTheEnd, kFirst, kInTime };
+
+  std::optional<Certifies> search(const AppSpec& app, double part, Enough enough) {
     if (over()) return std::nullopt;
     Options asked = options_;
     asked.on_progress = nullptr;
@@ -151,13 +157,17 @@ class LeastLate {
     else
       asked.time_limit_s = std::max(kLeastS, part * asked.time_limit_s);
     std::optional<Certifies> answer;
-    if (first) {
-      if (auto one = certifies(app, platform_, asked)) answer = std::move(*one);
+    if (enough != Enough::kTheEnd) {
+      if (auto one = certifies(app, platform_, asked, enough == Enough::kInTime))
+        answer = std::move(*one);
     } else if (auto best = solve(app, platform_, asked)) {
       answer = Certifies{best->outcome, misses(app, best->policy), std::move(best->policy)};
     }
-    if (answer && answer->outcome == Outcome::kPolicy) offer(answer->policy);
     return answer;
+  }
+
+  void add(const std::optional<Certifies>& answer) {
+    if (answer && answer->outcome == Outcome::kPolicy) candidates_.push_back(answer->policy);
   }
 
   /// With all WCETs at the largest percentage that is certified; then at that with which no deadline is missed.
@@ -174,7 +184,8 @@ class LeastLate {
     if (high <= 100) found_.overloaded_pct = high;
     found_.certified_pct = largest(high, false);
     if (!found_.certified_pct) return;
-    const auto last = search(at_percent(app_, *found_.certified_pct), kForLast, false);
+    const auto last = search(at_percent(app_, *found_.certified_pct), kForLast, Enough::kTheEnd);
+    add(last);
     if (last && last->outcome == Outcome::kPolicy && !last->late)
       found_.in_time_pct = found_.certified_pct;
     else
@@ -184,15 +195,19 @@ class LeastLate {
   /// Below a percentage that is too much, by halves, from where a first policy is likely: it ends a search.
   std::optional<std::int64_t> largest(std::int64_t high, bool in_time) {
     std::int64_t low = 0;
+    std::optional<Certifies> best;
     while (high - low > 1 && !over()) {
       const std::int64_t percent =
           low > 0 ? (low + high) / 2 : std::max<std::int64_t>(1, high * kFirstPart / 100);
-      const auto answer = search(at_percent(app_, percent), kForProbe, true);
+      auto answer =
+          search(at_percent(app_, percent), kForProbe, in_time ? Enough::kInTime : Enough::kFirst);
       if (answer && answer->outcome == Outcome::kUnsustainable) found_.overloaded_pct = percent;
       const bool enough =
           answer && answer->outcome == Outcome::kPolicy && !(in_time && answer->late);
       (enough ? low : high) = percent;
+      if (enough) best = std::move(answer);
     }
+    add(best);
     return low > 0 ? std::optional(low) : std::nullopt;
   }
 
@@ -237,6 +252,7 @@ class LeastLate {
   const Options& options_;
   const AppSpec usual_;
   SteadyTime deadline_;
+  std::vector<KeyPolicy> candidates_;
   Uncertified found_;
   Lateness late_;
 };
@@ -262,12 +278,14 @@ AppSpec at_percent(AppSpec app, std::int64_t percent) {
   return app;
 }
 
-Result<Certifies> certifies(const AppSpec& app, const Platform& platform, const Options& options) {
+Result<Certifies> certifies(const AppSpec& app, const Platform& platform, const Options& options,
+                            bool in_time) {
   Options asked = options;
   std::atomic<bool> enough{options.stop != nullptr && options.stop->load()};
   asked.stop = &enough;
   asked.on_progress = [&](const Progress& progress) {
-    if (progress.late <= 1 || (options.stop != nullptr && options.stop->load())) enough = true;
+    if (!in_time || progress.late <= 1 || (options.stop != nullptr && options.stop->load()))
+      enough = true;
   };
   XAUTO_ASSIGN(Answer answer, solve(app, platform, asked));
   return Certifies{answer.outcome, misses(app, answer.policy), std::move(answer.policy)};

@@ -2,9 +2,9 @@
 // Where nothing can be certified a robot runs all the same: the policy that is least late at usual times, and how far
 // its app is from one that can be certified.
 //
-// Candidates are certified for the same app with shorter jobs: at its usual times, and with all WCETs times a common
-// factor. One is made without a search, so there always is one. Each is played at usual times, as it is, and without
-// what only a certificate needs: holds and order.
+// Candidates are certified for the same app with shorter jobs: at its usual times, and with all WCETs times a
+// common factor. One is made without a search, so there always is one. They are played at usual times, as they
+// are, and without what only a certificate needs: holds and order.
 #pragma once
 
 #include <cstdint>
@@ -40,14 +40,14 @@ struct Uncertified {
 [[nodiscard]] Result<Uncertified> least_late(const AppSpec& app, const Platform& platform,
                                              const Options& options);
 
-/// Whether a policy is certified, of which the first is enough that misses no deadline.
+/// Whether a policy is certified. The first is enough; `in_time`: that misses no deadline.
 struct Certifies {
   Outcome outcome = Outcome::kUnknown;
   bool late = false;  ///< kPolicy: it misses a deadline
   KeyPolicy policy;   ///< kPolicy
 };
 [[nodiscard]] Result<Certifies> certifies(const AppSpec& app, const Platform& platform,
-                                          const Options& options);
+                                          const Options& options, bool in_time);
 
 /// All WCETs as they usually are.
 [[nodiscard]] AppSpec at_usual_times(AppSpec app);

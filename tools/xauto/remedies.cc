@@ -76,7 +76,7 @@ class Remedies {
       asked.max_evaluations = std::max<std::int64_t>(1, options_.max_evaluations / kPartOfBudget);
       asked.time_limit_s = std::max(kLeastS, left_s());
     }
-    const auto answer = steady::certifies(app, platform_, asked);
+    const auto answer = steady::certifies(app, platform_, asked, true);
     if (!answer || answer->outcome != steady::Outcome::kPolicy) return false;
     found_.push_back({std::move(change), std::move(what), answer->late});
     return true;

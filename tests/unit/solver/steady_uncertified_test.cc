@@ -96,7 +96,8 @@ TEST(SteadyUncertified, WithTheSuggestedMarginTheSameAppIsCertified) {
   EXPECT_TRUE(check(shorter, platform, answer->policy));
   ASSERT_TRUE(found->in_time_pct);
   EXPECT_LE(*found->in_time_pct, *found->certified_pct);
-  const auto in_time = certifies(at_percent(app, *found->in_time_pct), platform, asked_for(4000));
+  const auto in_time =
+      certifies(at_percent(app, *found->in_time_pct), platform, asked_for(4000), true);
   ASSERT_TRUE(in_time && in_time->outcome == Outcome::kPolicy);
   EXPECT_FALSE(in_time->late);
   const auto over = Problem::create(at_percent(app, *found->overloaded_pct), platform);
