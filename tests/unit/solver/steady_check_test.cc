@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <map>
-
 #include <gtest/gtest.h>
 
 #include "solver/steady/check.h"
@@ -439,42 +437,6 @@ TEST(SteadyCheck, PairsAreCountedOn) {
   EXPECT_GE(made, 20);
   EXPECT_GE(refused, made / 4);
   EXPECT_GE(broken, 4);
-}
-
-/// Early start leaves every certificate as it is, by the rule; not by what looks like it.
-TEST(SteadyCheck, NobodyStartsTooEarlyByTheRule) {
-  using attack::Early;
-  const std::pair<Early, const char*> wrong[] = {{Early::kFromItsHold, "hold for planned start"},
-                                                 {Early::kOfTheReleased, "released jobs alone"},
-                                                 {Early::kByTheSequence, "the plan's sequence"},
-                                                 {Early::kWithoutSamples, "without samples"}};
-  int made = 0;
-  std::map<Early, int> broken;
-  for (std::uint64_t seed = 1; seed <= 120; ++seed) {
-    attack::Wanted w = kind(seed);
-    w.holds = true;
-    w.order = seed % 5 == 0;
-    w.preemptive = seed % 3 == 0;
-    w.preempt_us = 40;
-    w.load = 0.75;
-    w.components = 3;
-    auto c = attack::valid(seed, w);
-    if (!c) continue;
-    attack::tighten(*c, seed, seed % 2 == 0);
-    ++made;
-    for (const Early early : {Early::kByTheRule, Early::kNever}) {
-      const auto found = attack::attack(c->app, c->platform, c->policy, {20'000, seed, early});
-      EXPECT_FALSE(found.broken()) << seed << ": " << found.late << found.chain;
-    }
-    for (const auto& [early, name] : wrong)
-      broken[early] +=
-          attack::attack(c->app, c->platform, c->policy, {20'000, seed, early}).broken() ? 1 : 0;
-  }
-  EXPECT_GE(made, 90);
-  for (const auto& [early, name] : wrong) {
-    std::printf("%s: %d of %d broken\n", name, broken[early], made);
-    EXPECT_GE(broken[early], 1) << name;
-  }
 }
 
 TEST(SteadyCheck, OrderIsOfWhatIsReleasedTogetherOnOneXpu) {
