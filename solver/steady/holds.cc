@@ -105,7 +105,6 @@ class Dropping {
   template <class To>
   bool change(const std::vector<int>& slots, const To& to) {
     const int xnode = p_.slot_xnode[at(slots.front())];
-    const Component& component = p_.components[at(p_.component_of[at(xnode)])];
     before_.clear();
     const auto save = [&](int i) {
       for (int s = p_.slot[at(i)]; s < p_.slot[at(i)] + p_.jobs[at(i)]; ++s)
@@ -114,7 +113,8 @@ class Dropping {
     save(xnode);
     for (const int s : slots) w_.hold[at(s)] = to(w_.hold[at(s)]);
     std::vector<char> touched(at(p_.num_xpus), 0), sooner(at(p_.num_xnodes), 0);
-    for (const int i : component.xnodes) {
+    // Pairs lead to other components.
+    for (const int i : p_.domains[at(p_.domain_of(xnode))].xnodes) {
       if (i != xnode && !p_.before(xnode, i)) continue;
       if (i != xnode) save(i);
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {

@@ -91,8 +91,8 @@ constexpr std::size_t kTurnsAtHome = 3;
 /// Longest ways of least WCETs behind each XNode, itself excluded.
 std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
   std::vector<Tick> tail(at(p.num_xnodes), 0);
-  for (const Component& c : p.components)
-    for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i)
+  for (const Domain& d : p.domains)
+    for (auto i = d.xnodes.rbegin(); i != d.xnodes.rend(); ++i)
       for (const EdgeEnd& s : p.succ[at(*i)])
         tail[at(*i)] = std::max(tail[at(*i)], tail[at(s.xnode)] + work[at(s.xnode)]);
   return tail;
@@ -100,8 +100,8 @@ std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
 
 std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
   std::vector<Tick> head(at(p.num_xnodes), 0);
-  for (const Component& c : p.components)
-    for (const int i : c.xnodes) {
+  for (const Domain& d : p.domains)
+    for (const int i : d.xnodes) {
       if (p.root[at(i)] != 0) head[at(i)] = p.root_ready[at(i)];
       for (const EdgeEnd& l : p.pred[at(i)])
         head[at(i)] = std::max(head[at(i)], head[at(l.xnode)] + work[at(l.xnode)]);

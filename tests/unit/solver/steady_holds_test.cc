@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "base/index.h"
+#include "model/components.h"
 #include "solver/steady/certificate.h"
 #include "solver/steady/chains.h"
 #include "solver/steady/check.h"
@@ -74,7 +75,7 @@ TEST(SteadyHolds, EachIsNeededForAClaimOrTheCertificate) {
       const std::optional<Case> c = solved(kind, seed);
       if (!c) continue;
       EXPECT_TRUE(check(c->app, c->platform, c->policy)) << kind << ", seed " << seed;
-      const Problem p = *Problem::create(c->app, c->platform);
+      const Problem p = *Problem::create(c->app, c->platform, {}, c->policy.order);
       EXPECT_TRUE(keeps(p, c->policy, c->policy)) << kind << ", seed " << seed;
       for (std::size_t i = 0; i < c->policy.placements.size(); ++i) {
         KeyPolicy without = c->policy;
@@ -131,6 +132,46 @@ TEST(SteadyHolds, MostAreNotNeeded) {
   }
   EXPECT_GT(before, 200);
   EXPECT_LT(3 * after, before);
+}
+
+/// Pairs lead from one component to another: who is held behind such a pair starts no sooner than its first.
+TEST(SteadyHolds, GoAlsoWherePairsJoinComponents) {
+  int joined = 0;
+  for (std::uint64_t seed = 1; seed <= 150; ++seed) {
+    solver::test::Dice dice(seed);
+    SteadyShape shape;
+    shape.max_components = 4;
+    shape.offsets = false;
+    AppSpec app = random_steady_app(dice, shape);
+    for (SourceSpec& source : app.sources) source.period = {60};
+    Platform platform = random_steady_platform(dice);
+    platform.xpus.back().preempt_us = platform.xpus.back().preemptive ? 2 : 0;
+    Options options;
+    options.time_limit_s = 60;
+    options.max_evaluations = 100;
+    options.seed = seed;
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer) << seed;
+    if (answer->outcome != Outcome::kPolicy || answer->policy.order.empty()) continue;
+    const Components parts = find_components(app).value();
+    for (const auto& [u, v] : answer->policy.order) joined += parts.of[at(u)] != parts.of[at(v)];
+    const auto checked = check(app, platform, answer->policy);
+    EXPECT_TRUE(checked) << seed << ": " << checked.error().to_string();
+    // All are held until they are ready, and what is not needed goes: the rest is as if derived anew.
+    const Problem p = Problem::create(app, platform, {}, answer->policy.order).value();
+    std::vector<int> xpu;
+    for (const KeyPlacement& placed : answer->policy.placements) xpu.push_back(placed.xpu);
+    Windows w = keys_and_holds(p, answer->policy);
+    derive_ready(p, 0, xpu, w);
+    w.hold = w.a;
+    if (!certify(p, xpu, w)) continue;
+    drop_holds(p, xpu, w, {});
+    Windows anew = w;
+    derive_ready(p, 0, xpu, anew);
+    EXPECT_EQ(w.a, anew.a) << seed;
+    EXPECT_EQ(w.e, anew.e) << seed;
+  }
+  EXPECT_GT(joined, 30);
 }
 
 }  // namespace
