@@ -24,4 +24,15 @@ struct Until {
   }
 };
 
+/// A part of the time that is left, so that others have theirs.
+[[nodiscard]] inline Until part_of(const Until& until, double part) {
+  Until sooner = until;
+  if (until.deadline == SteadyTime::max()) return sooner;
+  const SteadyTime now = std::chrono::steady_clock::now();
+  if (now < until.deadline)
+    sooner.deadline =
+        now + std::chrono::duration_cast<SteadyTime::duration>(part * (until.deadline - now));
+  return sooner;
+}
+
 }  // namespace xauto::solver

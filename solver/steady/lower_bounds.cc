@@ -191,18 +191,8 @@ class Pieces {
   std::vector<Tick> longest_;  ///< [xpu] that does not preempt, of all that may be there
 };
 
-/// Of the time that is left, for the proof of one chain's end, and at most so many seconds.
-constexpr double kForProofs = 0.3, kMostForProofS = 5;
-
-/// A part of the time that is left, so that others have theirs.
-Until share_of(const Until& until, std::size_t parts) {
-  Until share = until;
-  if (until.deadline == SteadyTime::max()) return share;
-  const SteadyTime now = std::chrono::steady_clock::now();
-  if (now < until.deadline)
-    share.deadline = now + (until.deadline - now) / static_cast<SteadyTime::rep>(parts);
-  return share;
-}
+/// Of a chain's part of the time, for the proof of its end, and at most so many seconds.
+constexpr double kForProofs = 0.5, kMostForProofS = 5;
 
 }  // namespace
 
@@ -222,28 +212,29 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
     }
   // Version 1's bound on the ancestors, from the nominal release on.
   std::map<int, Tick> single;
+  std::vector<Tick> bounds;
   const auto bound_of = [&](int to) {
     const auto [it, fresh] = single.emplace(to, ends[at(to)]);
     if (!fresh || until.over()) return it->second;
     it->second = std::max(it->second, quick_release_bound(app, platform, p, to, wishes, until));
     if (most_cases == 0) return it->second;
     // The proof of the solver of one release, as far as it comes in its part of the time.
-    OneReleaseOptions asked;
-    asked.wishes = wishes;
+    SolveOptions asked;
+    asked.objectives = wishes;
     asked.stop = until.stop;
     asked.time_limit_s = kMostForProofS;
-    if (until.deadline != SteadyTime::max())
+    if (const Until mine =
+            part_of(until, kForProofs / static_cast<double>(p.chains.size() - bounds.size()));
+        mine.deadline != SteadyTime::max())
       asked.time_limit_s = std::min(
-          asked.time_limit_s, kForProofs * std::chrono::duration<double>(
-                                               until.deadline - std::chrono::steady_clock::now())
-                                               .count());
+          asked.time_limit_s,
+          std::chrono::duration<double>(mine.deadline - std::chrono::steady_clock::now()).count());
     if (asked.time_limit_s > 0)
-      it->second = std::max(it->second, one_release_bound(app, platform, p, to, asked));
+      it->second = std::max(it->second, one_release_bound(app, platform, p, to, std::move(asked)));
     return it->second;
   };
   const Pieces pieces(p, least, ends);
   std::map<int, Tick> piece;
-  std::vector<Tick> bounds;
   for (const Chain& chain : p.chains) {
     Tick bound = 0;
     const std::vector<LoadWay> ways = ways_of(p, chain);
@@ -260,8 +251,10 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
                             (chain.offset - p.components[at(p.component_of[at(first)])].phase)});
     }
     if (!until.over())
-      bound = std::max(bound, load_bound(p, ways, most_cases,
-                                         share_of(until, p.chains.size() - bounds.size() + 1)));
+      bound =
+          std::max(bound, load_bound(p, ways, most_cases,
+                                     part_of(until, 1.0 / static_cast<double>(p.chains.size() -
+                                                                              bounds.size() + 1))));
     bounds.push_back(bound);
   }
   return bounds;

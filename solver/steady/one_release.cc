@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "solver/bounds.h"
-#include "solver/solve.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -44,24 +43,6 @@ Part part_of(const AppSpec& app, const Objectives& wishes, const std::vector<cha
   return part;
 }
 
-SolveOptions asked(const OneReleaseOptions& options, Objectives wishes) {
-  SolveOptions asked;
-  asked.time_limit_s = options.time_limit_s;
-  asked.threads = options.threads;
-  asked.seed = options.seed;
-  asked.max_evaluations = options.max_evaluations;
-  asked.stop = options.stop;
-  asked.objectives = std::move(wishes);
-  return asked;
-}
-
-bool released_together(const Problem& p) {
-  return std::all_of(p.components.begin(), p.components.end(), [&](const Component& c) {
-    const Component& first = p.components.front();
-    return c.domain == first.domain && c.period == first.period && c.phase == first.phase;
-  });
-}
-
 /// Of chains within one component, since what a sample reads is of another release.
 void add_deadlines(const AppSpec& app, const Problem& p, Objectives& wishes) {
   for (std::size_t c = 0; c < p.chains.size(); ++c) {
@@ -97,13 +78,14 @@ Part behind(const AppSpec& app, const Problem& p, int to, const Objectives& wish
 }  // namespace
 
 std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app, const Platform& platform,
-                                             const Problem& p, const OneReleaseOptions& options) {
-  if (!released_together(p)) return {};
-  Part whole = part_of(app, options.wishes, std::vector<char>(app.xnodes.size(), 1));
+                                             const Problem& p, SolveOptions options) {
+  for (std::size_t c = 1; c < p.components.size(); ++c)
+    if (!p.released_together(0, static_cast<int>(c))) return {};
+  Part whole = part_of(app, options.objectives, std::vector<char>(app.xnodes.size(), 1));
   add_deadlines(app, p, whole.wishes);
-  SolveOptions solving = asked(options, std::move(whole.wishes));
-  solving.certify = true;
-  const Result<Policy> plan = solver::solve(whole.app, platform, solving);
+  options.objectives = std::move(whole.wishes);
+  options.certify = true;
+  const Result<Policy> plan = solver::solve(whole.app, platform, options);
   if (!plan) return {};
   // Nobody hears before the latest of the roots.
   const Tick late =
@@ -129,11 +111,11 @@ Tick quick_release_bound(const AppSpec& app, const Platform& platform, const Pro
 }
 
 Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
-                       const OneReleaseOptions& options) {
+                       SolveOptions options) {
   Tick earliest = 0;
-  Part part = behind(app, p, to, options.wishes, earliest);
-  const Result<Policy> plan =
-      solver::solve(part.app, platform, asked(options, std::move(part.wishes)));
+  Part part = behind(app, p, to, options.objectives, earliest);
+  options.objectives = std::move(part.wishes);
+  const Result<Policy> plan = solver::solve(part.app, platform, options);
   return plan ? earliest + plan->lower_bound_us * p.scale : 0;
 }
 

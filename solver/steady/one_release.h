@@ -4,32 +4,21 @@
 // "Order"). Where releases do not meet its worst case is that policy's.
 #pragma once
 
-#include <atomic>
-#include <cstdint>
 #include <optional>
 
 #include "model/key_policy.h"
 #include "solver/objectives.h"
+#include "solver/solve.h"
 #include "solver/steady/problem.h"
 #include "solver/until.h"
 
 namespace xauto::solver::steady {
 
-struct OneReleaseOptions {
-  double time_limit_s = 1;
-  int threads = 1;
-  std::uint64_t seed = 1;
-  std::int64_t max_evaluations = 0;  ///< as in SolveOptions
-  const std::atomic<bool>* stop = nullptr;
-  Objectives wishes = {};  ///< pins, forbids and groups
-};
-
 /// No claims and no bounds are in it: whoever takes it certifies it. Nothing where XNodes are not all released together,
-/// or no plan is found in time. `p`: of this app, without order.
+/// or no plan is found in time. `p`: of this app, without order. Of the options' objectives pins, forbids and groups count.
 [[nodiscard]] std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app,
                                                            const Platform& platform,
-                                                           const Problem& p,
-                                                           const OneReleaseOptions& options);
+                                                           const Problem& p, SolveOptions options);
 
 /// As one_release_bound, by what takes microseconds.
 [[nodiscard]] Tick quick_release_bound(const AppSpec& app, const Platform& platform,
@@ -38,6 +27,6 @@ struct OneReleaseOptions {
 /// No policy of keys ends `to` of a release earlier after its nominal release, in the worst case: the solver's proof for
 /// what `to` waits for by edges, alone. At least 0.
 [[nodiscard]] Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p,
-                                     int to, const OneReleaseOptions& options);
+                                     int to, SolveOptions options);
 
 }  // namespace xauto::solver::steady

@@ -312,9 +312,7 @@ struct Builder {
   Status add_order(const std::vector<std::pair<int, int>>& order) const {
     if (order.empty()) return {};
     for (const auto& [u, v] : order) {
-      const Component &a = p.components[at(p.component_of[at(u)])],
-                      &b = p.components[at(p.component_of[at(v)])];
-      if (a.domain != b.domain || a.period != b.period || a.phase != b.phase)
+      if (!p.released_together(p.component_of[at(u)], p.component_of[at(v)]))
         return fail(ErrorCode::kInvalid,
                     "XNodes '" + app.xnodes[at(u)].name + "' and '" + app.xnodes[at(v)].name +
                         "' are not released together",

@@ -143,6 +143,11 @@ struct Problem {
   }
   /// The type, where it is one place; else the names of its XPUs.
   [[nodiscard]] std::string place_name(std::size_t at_place) const;
+  /// Components whose activations of one number have one nominal release.
+  [[nodiscard]] bool released_together(int one, int other) const {
+    const Component &a = components[at(one)], &b = components[at(other)];
+    return a.domain == b.domain && a.period == b.period && a.phase == b.phase;
+  }
   [[nodiscard]] int domain_of(int xnode) const {
     return components[at(component_of[at(xnode)])].domain;
   }

@@ -135,10 +135,12 @@ bool Incumbents::improved_by(const Figures& figures) const {
          (mixes_ && first_goal().better(figures, least_.figures));
 }
 
-void Incumbents::add(const Candidate& candidate) {
-  if (!candidate.figures.valid) return;
+bool Incumbents::add(const Candidate& candidate) {
+  if (!candidate.figures.valid) return false;
   if (mixes_ && first_goal().better(candidate.figures, least_.figures)) least_ = candidate;
-  if (goal().better(candidate.figures, best_.figures)) best_ = candidate;
+  if (!goal().better(candidate.figures, best_.figures)) return false;
+  best_ = candidate;
+  return true;
 }
 
 void Incumbents::add_invalid(const Candidate& candidate) {

@@ -34,7 +34,8 @@ class Incumbents {
 
   /// Of valid ones: whether it would change anything.
   [[nodiscard]] bool improved_by(const Figures& figures) const;
-  void add(const Candidate& candidate);
+  /// True: it is best() now.
+  bool add(const Candidate& candidate);
   /// As long as there is none: the one that is nearest to being valid.
   void add_invalid(const Candidate& candidate);
 

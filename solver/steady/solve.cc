@@ -160,17 +160,17 @@ std::vector<Seed> seeds_of(const AppSpec& app, const Platform& platform, const P
   if (hint != nullptr && !hint->order.empty() && check_hint(*hint, Keep::kPlacement, app, p))
     add(*hint);
   if (options.keep != Keep::kNothing) return seeds;
-  OneReleaseOptions asked{std::min(kForPlan * limit_s, kForPlanS),
-                          options.threads,
-                          options.seed,
-                          0,
-                          options.stop,
-                          options.wishes};
+  SolveOptions asked;
+  asked.time_limit_s = std::min(kForPlan * limit_s, kForPlanS);
+  asked.threads = options.threads;
+  asked.seed = options.seed;
+  asked.stop = options.stop;
+  asked.objectives = options.wishes;
   if (options.max_evaluations > 0) {
     asked.max_evaluations = options.max_evaluations * kPlansOfEvaluation;
     asked.time_limit_s = limit_s;
   }
-  if (const auto plan = plan_of_one_release(app, platform, p, asked)) add(*plan);
+  if (const auto plan = plan_of_one_release(app, platform, p, std::move(asked))) add(*plan);
   return seeds;
 }
 
@@ -180,33 +180,17 @@ bool at_bounds(const Problem& p, const Candidate& c, const std::vector<Tick>& bo
   return true;
 }
 
-Until part_of(const Until& until, double part) {
-  Until sooner = until;
-  if (until.deadline == SteadyTime::max()) return sooner;
-  const SteadyTime now = std::chrono::steady_clock::now();
-  if (now < until.deadline)
-    sooner.deadline =
-        now + std::chrono::duration_cast<SteadyTime::duration>(part * (until.deadline - now));
-  return sooner;
-}
-
 /// All threads' search of one problem.
 struct Round {
-  const AppSpec& app;
   const Options& options;
   std::function<double()> elapsed;
-  SearchLimits limits;  ///< of each thread, but for the budget
-  std::int64_t budget = 0;
-  std::int64_t evaluations = 0;
+  std::int64_t evaluations = 0;  ///< of all searches so far
   double first_ms = 0;
 
-  void took(const Round& other) {
-    evaluations = other.evaluations;
-    first_ms = other.first_ms;
-  }
-
+  /// `limits`: of each thread, but for evaluations: those are of all threads.
   Incumbents search(const Problem& p, const std::vector<Tick>& reference, const KeyPolicy* hint,
-                    Keep keep) {
+                    Keep keep, const SearchLimits& limits) {
+    const std::int64_t budget = limits.max_evaluations;
     const int threads = std::clamp(options.threads, 1, kMostThreads);
     Shared shared{{}, Incumbents(p, reference, options.aim), {}};
     {
@@ -294,7 +278,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   for_bounds.deadline =
       std::min(until.deadline, began + std::chrono::duration_cast<SteadyTime::duration>(
                                            std::chrono::duration<double>(limit * kForFirstBounds)));
-  std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
+  const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
   for (const Tick t : reference) answer.lower_bound_us.push_back(us_above(p, t));
 
   // The last of the time is for finer bounds.
@@ -319,40 +303,43 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
         std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
 
   // First the plans of one release, each with its order; then what has none.
-  std::vector<Seed> seeds = seeds_of(app, platform, p, options, limit);
-  Round round{app, options, elapsed, {for_search, to_finish, 0, for_least, {}}, 0, 0};
+  const std::vector<Seed> seeds = seeds_of(app, platform, p, options, limit);
+  Round round{options, elapsed};
   std::optional<Incumbents> planned;
   const Seed* seed = nullptr;
   for (const Seed& one : seeds) {
-    Round brief = round;
-    brief.limits.until = brief.limits.least_until = part_of(for_search, kForPlans);
-    if (options.max_evaluations > 0)
-      brief.budget = std::max<std::int64_t>(
-          1, static_cast<std::int64_t>(kForPlans * static_cast<double>(options.max_evaluations)));
-    Incumbents with = brief.search(one.problem, reference, &one.policy, Keep::kPlacement);
-    round.took(brief);
+    const Until brief = part_of(for_search, kForPlans);
+    const std::int64_t budget =
+        options.max_evaluations == 0
+            ? 0
+            : std::max<std::int64_t>(
+                  1, static_cast<std::int64_t>(kForPlans *
+                                               static_cast<double>(options.max_evaluations)));
+    Incumbents with = round.search(one.problem, reference, &one.policy, Keep::kPlacement,
+                                   {brief, to_finish, budget, brief, {}});
     if (!with.any() || (planned && !planned->improved_by(with.best().figures))) continue;
     planned = std::move(with);
     seed = &one;
   }
-  round.budget = options.max_evaluations;
-  if (planned && limit < kNoLimitS) {  // a proof may end it here
-    const std::vector<Tick> finer =
-        lower_bounds(p, app, platform, options.wishes, kMostCases, part_of(for_search, kForProof));
-    for (std::size_t c = 0; c < finer.size(); ++c) reference[c] = std::max(reference[c], finer[c]);
-  }
+  // What is proven meanwhile may end it, and does nothing else: a proof's time depends on the machine.
+  std::vector<Tick> bounds = reference;
+  const auto prove = [&](const Until& in) {
+    const std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, in);
+    for (std::size_t c = 0; c < finer.size(); ++c) bounds[c] = std::max(bounds[c], finer[c]);
+  };
+  if (planned && limit < kNoLimitS) prove(part_of(for_search, kForProof));
   Incumbents found(p, reference, options.aim);
-  if (planned && options.keep == Keep::kNothing && at_bounds(p, planned->best(), reference)) {
+  if (planned && options.keep == Keep::kNothing && at_bounds(p, planned->best(), bounds)) {
     found = *planned;
   } else {
-    found = round.search(p, reference, options.hint, options.keep);
+    found = round.search(p, reference, options.hint, options.keep,
+                         {for_search, to_finish, options.max_evaluations, for_least, {}});
     // Of equal ones that with order: it waits for jobs, and not for the clock.
     if (planned) {
       const Incumbents free = found;
       found = *planned;
-      found.add(free.least());
-      found.add(free.best());
-      if (found.best().figures.chain != planned->best().figures.chain) seed = nullptr;
+      for (const Candidate* one : {&free.least(), &free.best()})
+        if (found.add(*one)) seed = nullptr;
     }
   }
   answer.evaluations = round.evaluations;
@@ -367,19 +354,14 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     drop_holds(of, best.decision.xpu, best.figures.w, for_holds);
   }
   // What is left of the time makes the bounds better.
-  std::vector<Tick> finer = reference;
-  if (!found.any() || !at_bounds(p, found.best(), reference))
-    finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
-  for (std::size_t c = 0; c < finer.size(); ++c) {
-    finer[c] = std::max(finer[c], reference[c]);
-    answer.lower_bound_us[c] = us_above(p, finer[c]);
-  }
+  if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(for_finer);
+  for (std::size_t c = 0; c < bounds.size(); ++c) answer.lower_bound_us[c] = us_above(p, bounds[c]);
   const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);
   // First what was asked for.
   for (const bool sum :
        options.aim == Aim::kLargest ? std::array{false, true} : std::array{true, false})
     (sum ? answer.bounds.sum : answer.bounds.largest) =
-        objective_bound(p, finer, sum, kMostCasesOfAll, for_finer) / unit;
+        objective_bound(p, bounds, sum, kMostCasesOfAll, for_finer) / unit;
   if (!found.any()) {
     if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
       answer.outcome = Outcome::kUnsustainable;
