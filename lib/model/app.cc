@@ -282,21 +282,23 @@ std::vector<std::vector<int>> AppSpec::successors() const {
   return result;
 }
 
-std::vector<int> AppSpec::topological_order() const {
-  std::vector<int> missing(xnodes.size(), 0), order;
-  for (const auto& [u, v] : edges) ++missing[at(v)];
-  const auto succ = successors();
+std::vector<int> AppSpec::topological_order(const std::vector<std::pair<int, int>>& order) const {
+  std::vector<int> missing(xnodes.size(), 0), sorted;
+  auto succ = successors();
+  for (const auto& [u, v] : order) succ[at(u)].push_back(v);
+  for (const auto* pairs : {&edges, &order})
+    for (const auto& [u, v] : *pairs) ++missing[at(v)];
   std::priority_queue<int, std::vector<int>, std::greater<>> ready;
   for (std::size_t i = 0; i < xnodes.size(); ++i)
     if (missing[i] == 0) ready.push(static_cast<int>(i));
   while (!ready.empty()) {
     const int i = ready.top();
     ready.pop();
-    order.push_back(i);
+    sorted.push_back(i);
     for (const int s : succ[at(i)])
       if (--missing[at(s)] == 0) ready.push(s);
   }
-  return order;
+  return sorted;
 }
 
 std::string AppSpec::hash() const {

@@ -145,7 +145,9 @@ struct AppSpec {
   [[nodiscard]] std::vector<std::vector<int>> successors() const;
   /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a
   /// cycle.
-  [[nodiscard]] std::vector<int> topological_order() const;
+  /// `order`: pairs that count as edges.
+  [[nodiscard]] std::vector<int> topological_order(
+      const std::vector<std::pair<int, int>>& order = {}) const;
   [[nodiscard]] bool has_deadlines() const;  ///< some chain has one
   bool operator==(const AppSpec&) const = default;
 

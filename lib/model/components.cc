@@ -51,8 +51,9 @@ Status fit(const AppSpec& app, int xnode, int heard, int other, const std::strin
               where, hint);
 }
 
-/// That joins are of one clock and one period. Enough for whole components: along an edge both ends
-/// then have the same.
+}  // namespace
+
+// Enough for whole components: along an edge both ends then have the same.
 Status check_joins(const AppSpec& app) {
   std::vector<std::vector<std::size_t>> incoming(app.xnodes.size());
   for (std::size_t e = 0; e < app.edges.size(); ++e) incoming[at(app.edges[e].second)].push_back(e);
@@ -74,6 +75,8 @@ Status check_joins(const AppSpec& app) {
   }
   return {};
 }
+
+namespace {
 
 /// [xnode] its component, numbered by their least XNodes.
 std::vector<int> joined(const AppSpec& app, std::size_t* count) {

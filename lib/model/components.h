@@ -60,6 +60,8 @@ inline constexpr std::int64_t kMaxTicksPerUs = 1'000'000;
 /// A quarter of what fits, so that a release plus a window does.
 inline constexpr std::int64_t kMaxHyperperiodTicks = INT64_MAX / 4;
 
+/// That what edges join has one clock and one period. Part of find_components.
+[[nodiscard]] Status check_joins(const AppSpec& app);
 /// Of an app of version 2 whose edges are acyclic and whose XNodes hear of what there is. Refused:
 /// a component with two clocks or two periods, a module in two components, periods without a tick.
 [[nodiscard]] Result<Components> find_components(const AppSpec& app);

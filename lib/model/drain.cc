@@ -30,15 +30,10 @@ std::int64_t least_period_us(const AppSpec& app) {
 std::int64_t drain_us(const AppSpec& app, const Platform& platform, const KeyPolicy& keys,
                       std::int64_t notice_us) {
   const auto found = find_components(app);
-  if (!found) return 0;  // no app of version 2
-  const auto type_of = [&](int xnode) -> const std::string& {
-    return platform.xpus[at(keys.placements[at(xnode)].xpu)].type;
-  };
+  if (!found) return 0;                                    // no app of version 2
   std::vector<std::int64_t> passes(app.xnodes.size(), 0);  // messages to it
-  for (const TransferSpec& t : app.transfers) {
-    const auto& [u, v] = app.edges[at(t.edge)];
-    if (type_of(u) == t.from_type && type_of(v) == t.to_type) passes[at(v)] += t.transfer_us;
-  }
+  const std::vector<std::int64_t> transfer = transfers_us(keys, app, platform);
+  for (std::size_t e = 0; e < transfer.size(); ++e) passes[at(app.edges[e].second)] += transfer[e];
   const std::int64_t before_us = least_period_us(app) + notice_us;
   std::int64_t waits = 0;                                          // for sensors, and for holds
   std::vector<std::int64_t> on_xpu(platform.xpus.size(), 0);       // of all jobs that are left

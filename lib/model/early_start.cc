@@ -24,21 +24,14 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
                         std::vector<std::vector<std::int64_t>>(n)};
   const auto components = find_components(app);
   if (!components) return planned;
-  AppSpec both;
-  both.xnodes.resize(n);
-  both.edges = app.edges;
-  both.edges.insert(both.edges.end(), policy.order.begin(), policy.order.end());
-  std::vector<std::int64_t> transfer(both.edges.size(), 0);
-  const auto type = [&](int i) -> const std::string& {
-    return platform.xpus[at(policy.placements[at(i)].xpu)].type;
-  };
-  for (const TransferSpec& t : app.transfers) {
-    const auto [u, v] = app.edges[at(t.edge)];
-    if (t.from_type == type(u) && t.to_type == type(v)) transfer[at(t.edge)] = t.transfer_us;
-  }
+  // Edges, then order, which carries no message.
+  std::vector<std::pair<int, int>> waits = app.edges;
+  waits.insert(waits.end(), policy.order.begin(), policy.order.end());
+  std::vector<std::int64_t> transfer = transfers_us(policy, app, platform);
+  transfer.resize(waits.size(), 0);
   std::vector<std::vector<std::size_t>> into(n);
-  for (std::size_t e = 0; e < both.edges.size(); ++e) into[at(both.edges[e].second)].push_back(e);
-  const std::vector<int> topological = both.topological_order();
+  for (std::size_t e = 0; e < waits.size(); ++e) into[at(waits[e].second)].push_back(e);
+  const std::vector<int> topological = app.topological_order(policy.order);
   // Of urgent releases by how much, and who hears of them.
   std::vector<std::int64_t> sooner(n, 0);
   for (const int i : topological) {
@@ -46,8 +39,7 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
       if (app.sources[at(s)].urgent)
         sooner[at(i)] = std::max(sooner[at(i)], app.sources[at(s)].urgent->by_us);
     for (const std::size_t e : into[at(i)])
-      if (e < app.edges.size())
-        sooner[at(i)] = std::max(sooner[at(i)], sooner[at(both.edges[e].first)]);
+      if (e < app.edges.size()) sooner[at(i)] = std::max(sooner[at(i)], sooner[at(waits[e].first)]);
   }
   // With holds earlier by `by`, or without any.
   const auto follow = [&](bool held, const std::vector<std::int64_t>& by) {
@@ -57,7 +49,7 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
       // Sizes divide the activations of a hyperperiod, so what they come round in does, too.
       std::size_t size = std::max<std::size_t>(1, placed.hold_us.size());
       for (const std::size_t e : into[at(i)])
-        size = std::lcm(size, starts[at(both.edges[e].first)].size());
+        size = std::lcm(size, starts[at(waits[e].first)].size());
       std::int64_t offset = 0;
       for (const int s : app.xnodes[at(i)].sources)
         offset = std::max(offset, app.sources[at(s)].offset_us -
@@ -66,7 +58,7 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
         std::int64_t start = offset;
         if (held) start = std::max(start, entry(placed.hold_us, j) - by[at(i)]);
         for (const std::size_t e : into[at(i)])
-          start = std::max(start, entry(starts[at(both.edges[e].first)], j) + transfer[e]);
+          start = std::max(start, entry(starts[at(waits[e].first)], j) + transfer[e]);
         starts[at(i)].push_back(start);
       }
     }

@@ -32,11 +32,7 @@ class Validation {
 
   /// A successor becomes ready by its predecessor's key plus the transfer, and then has to run.
   [[nodiscard]] Status edges() const {
-    std::vector<std::int64_t> transfer(app_.edges.size(), 0);
-    for (const TransferSpec& t : app_.transfers) {
-      const auto [u, v] = app_.edges[at(t.edge)];
-      if (t.from_type == type(u) && t.to_type == type(v)) transfer[at(t.edge)] = t.transfer_us;
-    }
+    std::vector<std::int64_t> transfer = transfers_us(policy_, app_, platform_);
     std::vector<std::pair<int, int>> waits = app_.edges;
     waits.insert(waits.end(), policy_.order.begin(), policy_.order.end());
     transfer.resize(waits.size(), 0);
@@ -240,6 +236,26 @@ Status validate(const KeyPolicy& policy, const AppSpec& app, const Platform& pla
   if (policy.solve_ms < 0)
     return invalid(std::to_string(policy.solve_ms) + " is no time", "/solve_ms");
   return {};
+}
+
+bool misses_a_deadline(const KeyPolicy& policy, const AppSpec& app) {
+  for (std::size_t c = 0; c < policy.chains.size(); ++c)
+    if (app.chains[c].deadline_us && policy.chains[c].worst_case_us > *app.chains[c].deadline_us)
+      return true;
+  return false;
+}
+
+std::vector<std::int64_t> transfers_us(const KeyPolicy& policy, const AppSpec& app,
+                                       const Platform& platform) {
+  const auto type = [&](int i) -> const std::string& {
+    return platform.xpus[at(policy.placements[at(i)].xpu)].type;
+  };
+  std::vector<std::int64_t> transfer(app.edges.size(), 0);
+  for (const TransferSpec& t : app.transfers) {
+    const auto [u, v] = app.edges[at(t.edge)];
+    if (t.from_type == type(u) && t.to_type == type(v)) transfer[at(t.edge)] = t.transfer_us;
+  }
+  return transfer;
 }
 
 Policy assignment_of(const KeyPolicy& keys) {

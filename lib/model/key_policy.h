@@ -71,6 +71,13 @@ struct KeyPolicy {
 [[nodiscard]] Status validate(const KeyPolicy& policy, const AppSpec& app,
                               const Platform& platform);
 
+/// By its claims.
+[[nodiscard]] bool misses_a_deadline(const KeyPolicy& policy, const AppSpec& app);
+
+/// [edge] what its message costs where the policy has both ends.
+[[nodiscard]] std::vector<std::int64_t> transfers_us(const KeyPolicy& policy, const AppSpec& app,
+                                                     const Platform& platform);
+
 /// Its assignment, for whoever asks only that; with the priorities that come nearest to its keys:
 /// on each XPU the smaller first key is the larger priority. Nothing is claimed of them.
 [[nodiscard]] Policy assignment_of(const KeyPolicy& keys);

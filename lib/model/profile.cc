@@ -6,6 +6,7 @@
 #include <set>
 
 #include "base/quantile.h"
+#include "model/components.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
 
@@ -272,16 +273,15 @@ Status can_be_planned(const Profile& profile) {
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes)
     app.xnodes.push_back({x.name, x.module, {{"cpu", 1}}, x.sources});
-  auto planned = with_rates(profile, std::move(app));
-  if (planned) return {};
-  Error error = std::move(planned).error();
-  // The place is one in app.json, which is not there yet.
-  return fail(error.code, error.what, profile.app,
-              error.what.find(" joins ") == std::string::npos
-                  ? error.hint
-                  : "read one of them by XModule::add_sampled_topic instead of add_input_topic: "
-                    "the newest, "
-                    "whenever the module fires");
+  app.clocks = profile.asks.clocks;
+  // The places in these errors are of app.json, which is not there yet.
+  if (const Status joins = check_joins(app); !joins)
+    return fail(joins.error().code, joins.error().what, profile.app,
+                "read one of them by XModule::add_sampled_topic instead of add_input_topic: the "
+                "newest, whenever the module fires");
+  if (const auto planned = with_rates(profile, std::move(app)); !planned)
+    return fail(planned.error().code, planned.error().what, profile.app, planned.error().hint);
+  return {};
 }
 
 std::string why_version_2(const Profile& profile, const AppSpec& app) {

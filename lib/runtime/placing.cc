@@ -2,8 +2,10 @@
 #include "runtime/placing.h"
 
 #include <algorithm>
+#include <map>
 #include <optional>
 #include <set>
+#include <string_view>
 
 #include <fmt/format.h>
 
@@ -69,11 +71,11 @@ bool keeps_order(const Session& session, const Graph& graph, Placing& placing) {
   if (session.policy.order.empty()) return false;
   // Of keys a pair is of what is released together. Where activations are numbered by releases that the grid knows, those
   // of one number belong together.
-  const auto module_of = [&](int xnode) -> const Graph::Module& {
-    const std::string& name = session.app.xnodes[static_cast<std::size_t>(xnode)].name;
-    const auto node = std::find_if(graph.nodes.begin(), graph.nodes.end(),
-                                   [&](const Graph::Node& n) { return n.name == name; });
-    return graph.modules[static_cast<std::size_t>(node->module)];  // the graph matches the app
+  std::map<std::string_view, const Graph::Module*> module_by_name;
+  for (const Graph::Node& node : graph.nodes)
+    module_by_name[node.name] = &graph.modules[static_cast<std::size_t>(node.module)];
+  const auto module_of = [&](int xnode) -> const Graph::Module& {  // the graph matches the app
+    return *module_by_name.at(session.app.xnodes[static_cast<std::size_t>(xnode)].name);
   };
   std::set<int> pushed;  // components
   for (const Graph::Module& module : graph.modules)

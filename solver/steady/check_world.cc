@@ -215,6 +215,7 @@ Status add_order(World& w) {
       return invalid(pair + ": their activations do not belong together", "order");
     if (const int joined = w.part_of[at(v)], into = w.part_of[at(u)]; joined != into)
       std::ranges::replace(w.part_of, joined, into);
+    if (std::ranges::find(w.after[at(u)], v) != w.after[at(u)].end()) continue;  // it waits already
     w.before[at(v)].emplace_back(u, 0);
     w.after[at(u)].push_back(v);
   }

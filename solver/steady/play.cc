@@ -425,9 +425,9 @@ class Play {
   }
 
   void ends(const Event& e) {
-    ended_ = true;
     Device& d = devices_[at(w_.policy.placements[at(e.index)].xpu)];
     if (!d.busy || d.stamp != e.stamp) return;
+    ended_ = true;
     d.busy = false;
     --d.begun;
     d.look = true;
@@ -437,10 +437,7 @@ class Play {
     jobs_[at(e.index)].pop_front();
     ++done_[at(e.index)];
     --unfinished_;
-    std::vector<int> waiting = w_.after[at(e.index)];
-    std::ranges::sort(waiting);
-    waiting.erase(std::unique(waiting.begin(), waiting.end()), waiting.end());
-    for (const int v : waiting)
+    for (const int v : w_.after[at(e.index)])
       for (const auto& [u, transfer] : w_.before[at(v)])
         if (u == e.index)
           events_.push({now_ + transfer * kMillion, Kind::kArrives, v, e.activation, 0});

@@ -77,16 +77,11 @@ struct Builder {
     p.component_of.assign(at(n), -1);
     if (static_cast<int>(app.topological_order().size()) != n)
       return fail(ErrorCode::kInvalid, "the edges have a cycle", "edges");
-    AppSpec both;
-    both.xnodes.resize(at(n));
-    both.edges = app.edges;
-    for (const auto& [u, v] : order) {
+    for (const auto& [u, v] : order)
       if (u < 0 || v < 0 || u >= n || v >= n)
         return fail(ErrorCode::kInvalid, "an XNode that is not there", "order");
-      both.edges.emplace_back(u, v);
-    }
-    const std::vector<int> topo = both.topological_order();
-    if (static_cast<int>(topo.size()) != n)
+    topological = app.topological_order(order);
+    if (static_cast<int>(topological.size()) != n)
       return fail(ErrorCode::kInvalid, "the order and the edges have a cycle", "order");
     std::vector<int> parent(at(n));
     std::iota(parent.begin(), parent.end(), 0);
@@ -106,13 +101,12 @@ struct Builder {
                     "module '" + app.xnodes[at(i)].module + "'", "make two modules of it");
     }
     std::map<int, int> number;
-    for (const int i : topo) {
+    for (const int i : topological) {
       const auto [it, fresh] = number.emplace(find(i), static_cast<int>(p.components.size()));
       if (fresh) p.components.emplace_back();
       p.component_of[at(i)] = it->second;
       p.components[at(it->second)].xnodes.push_back(i);
     }
-    topological = topo;
     return {};
   }
 

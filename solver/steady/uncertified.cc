@@ -29,13 +29,6 @@ std::int64_t shorter(std::int64_t us, std::int64_t percent) {
   return std::max<std::int64_t>(1, (us * percent + 99) / 100);
 }
 
-bool misses(const AppSpec& app, const KeyPolicy& policy) {
-  for (std::size_t c = 0; c < policy.chains.size(); ++c)
-    if (app.chains[c].deadline_us && policy.chains[c].worst_case_us > *app.chains[c].deadline_us)
-      return true;
-  return false;
-}
-
 /// Units by falling load, each to the XPU that is least loaded with it; an activation's keys are a period after the
 /// longest ways of what comes before.
 KeyPolicy constructed(const Problem& p) {
@@ -161,7 +154,8 @@ class LeastLate {
       if (auto one = certifies(app, platform_, asked, enough == Enough::kInTime))
         answer = std::move(*one);
     } else if (auto best = solve(app, platform_, asked)) {
-      answer = Certifies{best->outcome, misses(app, best->policy), std::move(best->policy)};
+      answer =
+          Certifies{best->outcome, misses_a_deadline(best->policy, app), std::move(best->policy)};
     }
     return answer;
   }
@@ -288,7 +282,7 @@ Result<Certifies> certifies(const AppSpec& app, const Platform& platform, const 
       enough = true;
   };
   XAUTO_ASSIGN(Answer answer, solve(app, platform, asked));
-  return Certifies{answer.outcome, misses(app, answer.policy), std::move(answer.policy)};
+  return Certifies{answer.outcome, misses_a_deadline(answer.policy, app), std::move(answer.policy)};
 }
 
 Result<Uncertified> least_late(const AppSpec& app, const Platform& platform,

@@ -107,13 +107,6 @@ std::string urgency(const AppSpec& app) {
          "bounds are those without urgency.\n";
 }
 
-bool misses(const AppSpec& app, const KeyPolicy& policy) {
-  for (std::size_t c = 0; c < policy.chains.size(); ++c)
-    if (app.chains[c].deadline_us && policy.chains[c].worst_case_us > *app.chains[c].deadline_us)
-      return true;
-  return false;
-}
-
 bool is_optimal(double value, double bound) {
   return value <= bound * (1 + 1e-9);
 }
@@ -532,7 +525,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                 app.name + " on " + platform.name, "report it with app and platform");
   XAUTO_ASSIGN(const std::vector<steady::WhatIf> ifs,
                ask_assumed(app, platform, answer.policy, assume, asked));
-  const bool late = misses(app, answer.policy);
+  const bool late = misses_a_deadline(answer.policy, app);
   const bool never = app.has_deadlines() && answer.bounds.largest > 1;
   const std::vector<RareWcet> rare = rare_in(app, platform, answer.policy, *checked);
   if (options.json) {

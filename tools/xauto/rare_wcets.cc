@@ -69,9 +69,10 @@ std::vector<RareWcet> rare_in_policy(const AppSpec& app, const Platform& platfor
   });
 }
 
-std::string words_of(const std::vector<RareWcet>& rare, const AppSpec& app) {
+std::string words_of(const std::vector<RareWcet>& rare, const AppSpec& app, bool decide) {
   if (rare.empty()) return "";
-  std::string out = "\n  WCETs above twice what is usual decide this:\n";
+  std::string out = fmt::format("\n  WCETs above twice what is usual {} this:\n",
+                                decide ? "decide" : "may decide");
   for (std::size_t k = 0; k < std::min(kNamed, rare.size()); ++k)
     out += fmt::format("  {:<24}{:<8}{:>14}, usually {}\n", app.xnodes[at(rare[k].xnode)].name,
                        rare[k].type, ms(rare[k].wcet_us), ms(rare[k].typical_us));

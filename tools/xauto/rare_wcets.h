@@ -37,8 +37,9 @@ struct Way {
                                                    const std::vector<int>& xpu,
                                                    const std::vector<Way>& ways);
 
-/// A paragraph; empty where there are none.
-[[nodiscard]] std::string words_of(const std::vector<RareWcet>& rare, const AppSpec& app);
+/// A paragraph; empty where there are none. `decide`: that they decide it has been shown.
+[[nodiscard]] std::string words_of(const std::vector<RareWcet>& rare, const AppSpec& app,
+                                   bool decide = true);
 [[nodiscard]] Json to_json(const std::vector<RareWcet>& rare, const AppSpec& app);
 
 }  // namespace xauto::cli

@@ -250,9 +250,9 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
   line.end();
   if (!solved) {
     if (solved.error().code == ErrorCode::kInfeasible && !options.json)
-      std::fputs(
-          words_of(rare_wcets(app, [](int, const std::string&) { return true; }), app).c_str(),
-          stderr);
+      std::fputs(words_of(rare_wcets(app, [](int, const std::string&) { return true; }), app, false)
+                     .c_str(),
+                 stderr);
     return tl::unexpected<Error>(solved.error());
   }
   const Tables& tables = *solved;
@@ -271,7 +271,7 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
     std::cout << root.dump(2) << "\n";
   } else {
     print_tables(app, platform, tables, tried_all);
-    std::fputs(words_of(rare, app).c_str(), stdout);
+    std::fputs(words_of(rare, app, false).c_str(), stdout);
   }
   std::fflush(stdout);
   if (!out.empty()) outputs.write(out, to_json(tables, app, platform));

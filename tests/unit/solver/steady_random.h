@@ -8,6 +8,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
+#include "solver/steady/solve.h"
 
 #include "problem_random.h"
 
@@ -22,6 +23,14 @@ struct SteadyShape {
   bool urgent = false;  ///< sources may be urgent
   bool fractions = false, transfers = true, jitter = true, offsets = true;
 };
+
+/// Ended by its budget, so that the answer does not depend on the machine.
+inline Options brief(std::int64_t evaluations) {
+  Options options;
+  options.time_limit_s = 60;
+  options.max_evaluations = evaluations;
+  return options;
+}
 
 inline Platform random_steady_platform(solver::test::Dice& dice) {
   Platform platform;

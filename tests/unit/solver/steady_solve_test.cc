@@ -11,13 +11,6 @@
 namespace xauto::solver::steady {
 namespace {
 
-Options brief(std::int64_t evaluations) {
-  Options options;
-  options.time_limit_s = 60;
-  options.max_evaluations = evaluations;
-  return options;
-}
-
 struct Played {
   int policies = 0, unsustainable = 0, unknown = 0;
   std::int64_t jobs = 0;
@@ -231,6 +224,37 @@ TEST(SteadySolve, AHintIsKeptAndProvenAgain) {
   other.placements.pop_back();
   options.hint = &other;
   EXPECT_FALSE(solve(app, platform, options));
+}
+
+/// Its pairs are of its own keys: whoever wins, order and keys are of one answer.
+TEST(SteadySolve, AHintWithOrderStaysTrue) {
+  int ordered = 0;
+  for (std::uint64_t seed = 1; seed <= 120; ++seed) {
+    solver::test::Dice dice(seed);
+    SteadyShape shape;
+    shape.offsets = false;
+    shape.max_components = 3;
+    AppSpec app = random_steady_app(dice, shape);
+    for (SourceSpec& source : app.sources) source.period = {60};
+    const Platform platform = random_steady_platform(dice);
+    const Result<Answer> before = solve(app, platform, brief(100));
+    ASSERT_TRUE(before) << seed;
+    if (before->outcome != Outcome::kPolicy || before->policy.order.empty()) continue;
+    ++ordered;
+    for (const Keep keep : {Keep::kNothing, Keep::kMost, Keep::kPlacement}) {
+      Options options = brief(100);
+      options.hint = &before->policy;
+      options.keep = keep;
+      const Result<Answer> after = solve(app, platform, options);
+      ASSERT_TRUE(after && after->outcome == Outcome::kPolicy) << seed;
+      const auto checked = check(app, platform, after->policy);
+      EXPECT_TRUE(checked) << seed << ": " << checked.error().to_string();
+      if (keep == Keep::kPlacement) {
+        EXPECT_TRUE(after->moved.empty()) << seed;
+      }
+    }
+  }
+  EXPECT_GT(ordered, 5);
 }
 
 /// Whatever the search would make of it: with its holds, and with a key for each activation.

@@ -11,13 +11,6 @@
 namespace xauto::solver::steady {
 namespace {
 
-Options asked_for(std::int64_t evaluations) {
-  Options options;
-  options.time_limit_s = 60;
-  options.max_evaluations = evaluations;
-  return options;
-}
-
 /// Three rates on one GPU, of which WCETs take 118 %, and what is usual 92 %.
 AppSpec three_rates() {
   AppSpec app;
@@ -59,10 +52,10 @@ Platform one_gpu() {
 TEST(SteadyUncertified, AnOverloadedAppHasAPolicyWithoutClaimsThatIsInTimeAtUsualTimes) {
   const AppSpec app = three_rates();
   const Platform platform = one_gpu();
-  const auto refused = solve(app, platform, asked_for(500));
+  const auto refused = solve(app, platform, brief(500));
   ASSERT_TRUE(refused);
   ASSERT_EQ(refused->outcome, Outcome::kUnsustainable);
-  const auto found = least_late(app, platform, asked_for(4000));
+  const auto found = least_late(app, platform, brief(4000));
   ASSERT_TRUE(found) << found.error().to_string();
   EXPECT_FALSE(found->policy.certified);
   EXPECT_TRUE(found->policy.chains.empty());
@@ -83,21 +76,20 @@ TEST(SteadyUncertified, AnOverloadedAppHasAPolicyWithoutClaimsThatIsInTimeAtUsua
 TEST(SteadyUncertified, WithTheSuggestedMarginTheSameAppIsCertified) {
   const AppSpec app = three_rates();
   const Platform platform = one_gpu();
-  const auto found = least_late(app, platform, asked_for(4000));
+  const auto found = least_late(app, platform, brief(4000));
   ASSERT_TRUE(found) << found.error().to_string();
   ASSERT_TRUE(found->certified_pct && found->overloaded_pct);
   EXPECT_EQ(found->overloaded_pct, 85) << "100 / 1.18 is 84.7";
   EXPECT_LT(*found->certified_pct, *found->overloaded_pct);
   EXPECT_GE(*found->certified_pct, 70);
   const AppSpec shorter = at_percent(app, *found->certified_pct);
-  const auto answer = solve(shorter, platform, asked_for(4000));
+  const auto answer = solve(shorter, platform, brief(4000));
   ASSERT_TRUE(answer);
   ASSERT_EQ(answer->outcome, Outcome::kPolicy);
   EXPECT_TRUE(check(shorter, platform, answer->policy));
   ASSERT_TRUE(found->in_time_pct);
   EXPECT_LE(*found->in_time_pct, *found->certified_pct);
-  const auto in_time =
-      certifies(at_percent(app, *found->in_time_pct), platform, asked_for(4000), true);
+  const auto in_time = certifies(at_percent(app, *found->in_time_pct), platform, brief(4000), true);
   ASSERT_TRUE(in_time && in_time->outcome == Outcome::kPolicy);
   EXPECT_FALSE(in_time->late);
   const auto over = Problem::create(at_percent(app, *found->overloaded_pct), platform);
@@ -117,11 +109,11 @@ TEST(SteadyUncertified, ThereIsAPolicyForWhateverIsNotCertified) {
     solver::test::Dice dice(seed);
     const AppSpec app = random_steady_app(dice, crowded);
     const Platform platform = random_steady_platform(dice);
-    const auto answer = solve(app, platform, asked_for(60));
+    const auto answer = solve(app, platform, brief(60));
     if (!answer || answer->outcome == Outcome::kPolicy) continue;
     ++refused;
     for (const bool no_time : {false, true}) {
-      Options options = asked_for(80);
+      Options options = brief(80);
       if (no_time) options.time_limit_s = 0;
       const auto found = least_late(app, platform, options);
       ASSERT_TRUE(found) << seed << ": " << found.error().to_string();
