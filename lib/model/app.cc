@@ -453,23 +453,6 @@ Status validate_one_rate(const AppSpec& app) {
               "write version 2: xauto profile --app-version 2 --app-out app.json");
 }
 
-namespace {
-
-/// Activations of modules that may want an XPU of this type at the same time.
-std::int64_t most_at_once(const AppSpec& app, const std::string& type) {
-  std::set<std::string> seen;
-  std::int64_t jobs = 0;
-  for (const XNodeSpec& x : app.xnodes) {
-    if (!x.wcet_on(type) || !seen.insert(x.module).second) continue;
-    const auto module = std::find_if(app.modules.begin(), app.modules.end(),
-                                     [&](const ModuleSpec& m) { return m.name == x.module; });
-    jobs += module != app.modules.end() ? module->max_in_flight : 1;
-  }
-  return jobs;
-}
-
-}  // namespace
-
 Status validate_on(const AppSpec& app, const Platform& platform) {
   const std::vector<std::string> types = platform.types();
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
@@ -485,14 +468,6 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
                     platform.name + "' lacks",
                 "/xnodes/" + std::to_string(i) + "/wcet_us");
   }
-  for (std::size_t m = 0; app.version > 1 && m < platform.xpus.size(); ++m)
-    if (const Xpu& xpu = platform.xpus[m]; xpu.levels > 0)
-      if (const std::int64_t jobs = most_at_once(app, xpu.type); jobs > xpu.levels)
-        return fail(ErrorCode::kInfeasible,
-                    "XPU '" + xpu.id + "' has " + std::to_string(xpu.levels) + " levels, and " +
-                        std::to_string(jobs) + " activations of modules may be on it at once",
-                    "/xpus/" + std::to_string(m) + "/levels",
-                    "plan it with \"preemptive\": false, without \"levels\"");
   std::int64_t switch_us = 0, total = 0;
   for (const Xpu& xpu : platform.xpus)
     if (xpu.preemptive) switch_us = std::max(switch_us, xpu.preempt_us);

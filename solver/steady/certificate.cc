@@ -174,16 +174,16 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
     Pattern& g = patterns[part ? p.domains.size() + at(p.component_of[at(i)]) : at(c.domain)];
     g.period = p.domains[at(c.domain)].hyper;
     g.ppm = p.domains[at(c.domain)].ppm;
-    Tick longest = 0;
+    Tick longest = 0;  // that it may block: of those that may have started as the last
     for (int n = 0; n < c.jobs; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
       const Tick work = p.wcet(i, m) + (charges.preempts[s] != 0 ? p.preempt[at(m)] : 0);
       g.deepest = std::max(g.deepest, w.d[s]);
-      longest = std::max(longest, w.d[s] - w.e[s]);
+      longest = std::max(longest, w.d[s] - charges.last_start[s]);
       g.jobs.push_back(
           {(c.phase % g.period + n * c.period + w.a[s]) % g.period, w.d[s] - w.a[s], work});
     }
-    if (p.preemptive[at(m)] == 0) blocking.push_back({longest, p.wcet(i, m)});
+    if (longest > 0) blocking.push_back({longest, work_of_blocker(p, i, m)});
   }
   // None blocks for longer than the job whose place it takes: its e is earlier by no more than its
   // key.

@@ -65,8 +65,8 @@ struct WalkedJob {
 
 /// Jobs of U on one XPU.
 struct Line {
-  bool preemptive = true;
-  Ticks cost = 0;                          ///< of preempting
+  bool blocks = false;  ///< not any number may have started: whoever has may be the last
+  Ticks cost = 0;       ///< of preempting
   std::vector<std::pair<Ticks, int>> all;  ///< soon, job; sorted
   std::size_t low = 0;                     ///< all before it have been walked
   std::vector<int> known;                  ///< those whose A is known, by A
@@ -205,7 +205,7 @@ class Walk {
     for (std::size_t m = 0; m < lines_.size(); ++m) {
       const Xpu& xpu = both_.p.platform.xpus[m];
       lines_[m] = {};
-      lines_[m].preemptive = xpu.preemptive;
+      lines_[m].blocks = !xpu.preemptive || xpu.levels > 0;
       lines_[m].cost = xpu.preemptive ? xpu.preempt_us * both_.p.scale : 0;
     }
     for (const int c : components_) {
@@ -495,14 +495,14 @@ class Walk {
     }
   }
 
-  /// Whom x may find on an XPU that does not preempt.
+  /// Whom x may find on an XPU where not any number may have started.
   struct Blocker {
     const WalkedJob* job;
     Ticks left;  ///< less what it waits for, of those in V(s); 0 if it is one
   };
   void find_blockers(const WalkedJob& x) {
     blockers_.clear();
-    if (lines_[at(x.xpu)].preemptive) return;
+    if (!lines_[at(x.xpu)].blocks) return;
     for_each_started(x, std::max(x.ready, high_), [&](const WalkedJob& other) {
       // What x waits for has a smaller key, or A(x) is at least its F, which counts V(s) too.
       if (!drifts_ || !waits_for(x, other)) blockers_.push_back({&other, other.work});
@@ -534,12 +534,12 @@ class Walk {
   /// preempted by one of V(s), whose keys are at least `least_key`.
   [[nodiscard]] bool meets_p(const WalkedJob& x, Ticks s, Ticks least_key) const {
     const Line& line = lines_[at(x.xpu)];
-    if (line.preemptive && line.cost == 0) return false;
+    if (!line.blocks && line.cost == 0) return false;
     if (line.of_p_left == 0 && line.of_p_ended <= s) return false;
-    const Ticks key = line.preemptive ? least_key : x.soon;
     return std::ranges::any_of(line.of_p, [&](int k) {
       const WalkedJob& job = jobs_[at(k)];
-      return job.ended > s && job.late > key && (line.preemptive || job.starts < s);
+      return job.ended > s && ((line.blocks && job.late > x.soon && job.starts < s) ||
+                               (line.cost > 0 && job.late > least_key));
     });
   }
 

@@ -10,8 +10,13 @@
 //                           that does not hold the ordinary window of that job (keys are in order):
 //                           the group counts each XNode once
 //   otherwise               demand bound: what has its window in an interval of length t, at worst,
-//                           and the longest job that may be running when it begins and has a later
-//                           key (XPUs that do not preempt), is at most t
+//                           and the longest job that may hold the last level when it begins and has a
+//                           later key, is at most t
+//
+// Levels. An XPU that does not preempt has one, another one as many as it says, or any number. A job that is
+// started while others have started and not ended is on the level above theirs. On the last one it is not
+// interrupted. `last` is the earliest begin of a job there, found level by level: it is put above one of a
+// later key that has begun before it is ready, and begins after that one.
 //
 // Drift. A window is [R(r) + a, R(r) + d], R the real time of a point of the clock's grid, whose
 // slope is in [1 - ppm, 1 + ppm]. A schedule on the grid in which a job gets C / (1 - ppm) within
@@ -42,6 +47,12 @@ struct Item {
   Window window;
   Ticks work = 0;  ///< WCET and, where it may preempt, the cost of that
   bool charged = false;
+  /// Earliest begin on the last level, after the release; kMaxTicks: it is never there.
+  Ticks last = kMaxTicks;
+};
+
+struct Span {
+  std::size_t first = 0, size = 0;
 };
 
 struct Group {
@@ -50,7 +61,8 @@ struct Group {
   std::int64_t ppm = 0;
   int clock = -1;
   std::vector<Item> items;
-  Ticks longest = 0;  ///< from the earliest start of a job to its key
+  Ticks longest = 0;             ///< from the earliest start of a job to its key
+  std::map<int, Span> items_of;  ///< [xnode] where its items are, in the order of activations
   /// Urgent releases alone. Which activations they are is open: an item is the shortest of its XNode's
   /// windows, which may begin up to `slip` later.
   bool urgent = false;
@@ -76,6 +88,7 @@ class Load {
       return proof_;
     }
     if (xpu_.preemptive && xpu_.preempt_us > 0) charge();
+    find_last();
     Ticks longest = 0;
     for (const Group& g : groups_) {
       if (g.urgent) continue;
@@ -88,7 +101,7 @@ class Load {
     }
     proof_.repeats_us = w_.us(longest);
     if (proof_.load > 1.000001) return overload();
-    if (groups_.size() == 1 && xpu_.preemptive) {
+    if (groups_.size() == 1 && !blocks_) {
       proof_.kind = "schedule";
       if (const Status shown = exhibit(groups_[0]); !shown) {
         if (groups_[0].ppm == 0) return tl::unexpected<Error>(shown.error());
@@ -97,7 +110,7 @@ class Load {
         XAUTO_TRY(bound_demand());
       }
     } else {
-      proof_.kind = xpu_.preemptive ? "demand bound" : "demand bound and blocking";
+      proof_.kind = blocks_ ? "demand bound and blocking" : "demand bound";
       XAUTO_TRY(bound_demand());
     }
     return proof_;
@@ -156,6 +169,7 @@ class Load {
       g.slip = std::max(g.slip, last.a - first.a);
       g.longest = std::max(g.longest, longest);
       const Ticks key = first.a + shortest;
+      g.items_of[i] = {g.items.size(), 1};
       g.items.push_back({i, 0, 0, {first.a, key, key - longest}, w_.wcet[at(i)]});
     }
     if (g.items.empty()) return;
@@ -190,6 +204,7 @@ class Load {
     }
     for (const int i : xnodes) {
       const Component& c = w_.home(i);
+      g.items_of[i] = {g.items.size(), static_cast<std::size_t>(g.period / c.period)};
       for (std::int64_t n = 0; n < g.period / c.period; ++n)
         g.items.push_back({i, n, c.phi + n * c.period, w_.window(i, n), w_.wcet[at(i)]});
       for (const Window& window : w_.windows[at(i)])
@@ -286,6 +301,108 @@ class Load {
       const Ticks next = phase + (floor_div(low - phase, divisor) + 1) * divisor;
       return next < high;
     });
+  }
+
+  // ------------------------------------------------------------------------------------ levels
+
+  /// Of activation n of an XNode of `g`.
+  static Ticks last_of(const Group& g, int xnode, std::int64_t n) {
+    const Span& of = g.items_of.at(xnode);
+    const auto size = static_cast<std::int64_t>(of.size);
+    return g.items[of.first + static_cast<std::size_t>((n % size + size) % size)].last;
+  }
+
+  void find_last() {
+    std::set<int> here;
+    bool urgent = false;
+    for (const Group& g : groups_) {
+      here.insert(g.xnodes.begin(), g.xnodes.end());
+      urgent = urgent || g.urgent;
+    }
+    const std::int64_t levels = !xpu_.preemptive ? 1 : xpu_.levels;
+    // One activation of an XNode at a time, and one of another XNode that waits.
+    if (levels == 0 || static_cast<std::int64_t>(here.size()) <= levels) return;
+    for (Group& g : groups_)
+      for (Item& i : g.items) i.last = i.window.e;
+    for (std::int64_t level = 2; level <= levels; ++level) {
+      std::vector<std::vector<Ticks>> above;
+      bool later = false;
+      for (const Group& g : groups_) {
+        above.emplace_back();
+        std::vector<std::int64_t> lags;
+        int lags_of = -1;
+        for (const Item& i : g.items) {
+          if (lags_of != i.xnode) lags.clear();
+          lags_of = i.xnode;
+          Ticks least_begin = kMaxTicks;
+          for (const Group& other : groups_)
+            least_begin = std::min(least_begin, urgent         ? above_by_length(i, other)
+                                                : &other == &g ? above_own(i, g, lags)
+                                                               : above_other(i, g, other));
+          above.back().push_back(std::max(i.window.e, least_begin));
+          later = later || above.back().back() != i.last;
+        }
+      }
+      if (!later) break;  // so it is on all levels
+      for (std::size_t g = 0; g < groups_.size(); ++g)
+        for (std::size_t k = 0; k < above[g].size(); ++k) groups_[g].items[k].last = above[g][k];
+    }
+    for (const Group& g : groups_)
+      for (const Item& i : g.items) blocks_ = blocks_ || i.last < kMaxTicks;
+  }
+
+  /// Earliest begin above a job of the group: phases are known.
+  Ticks above_own(const Item& i, const Group& g, std::vector<std::int64_t>& lags) const {
+    Ticks earliest = kMaxTicks;
+    for (const int j : g.xnodes) {
+      if (j == i.xnode) continue;
+      const Component& c = w_.home(j);
+      for (std::int64_t n = last_started(j, i.release, i.window.a);; --n) {
+        const Ticks delta = c.phi + n * c.period - i.release, d = w_.window(j, n).d;
+        if (most(delta, c.ppm) + d <= i.window.d) break;
+        const Ticks begun = last_of(g, j, n);
+        if (begun == kMaxTicks || least(delta, c.ppm) + begun >= i.window.a ||
+            d - begun <= i.window.d - i.window.a)
+          continue;
+        if (w_.part_of[at(j)] == w_.part_of[at(i.xnode)]) {
+          if (lags.empty()) lags = w_.lags_after(i.xnode);
+          if (n >= i.activation + lags[at(j)]) {
+            n = i.activation + lags[at(j)];
+            continue;
+          }
+        }
+        // It is one distance: long enough for the key to be later.
+        earliest = std::min(earliest, std::max(least(delta, c.ppm), i.window.d - d) + begun);
+      }
+    }
+    return earliest;
+  }
+
+  /// ... of another group.
+  Ticks above_other(const Item& i, const Group& own, const Group& other) const {
+    const auto pairs =
+        static_cast<__int128>(own.items.size()) * static_cast<std::int64_t>(other.items.size());
+    if (own.clock != other.clock || own.ppm > 0 || pairs > kMaxSteps)
+      return above_by_length(i, other);
+    const Ticks divisor = std::gcd(own.period, other.period);
+    Ticks earliest = kMaxTicks;
+    for (const Item& j : other.items) {
+      if (j.last == kMaxTicks) continue;
+      const Ticks phase = j.release - i.release, low = i.window.d - j.window.d;
+      const Ticks next = phase + (floor_div(low - phase, divisor) + 1) * divisor;
+      if (next + j.last < i.window.a) earliest = std::min(earliest, next + j.last);
+    }
+    return earliest;
+  }
+
+  /// ... in any phase, and an item stands for any activation of its XNode: it is put above whom it may be put
+  /// above with its shortest window, urgent or not.
+  Ticks above_by_length(const Item& i, const Group& other) const {
+    Ticks longest = 0;
+    for (const Item& j : other.items)
+      if (j.xnode != i.xnode && j.last < kMaxTicks)
+        longest = std::max(longest, j.window.d - j.last);
+    return longest > i.window.d - i.window.a ? i.window.d - longest : kMaxTicks;
   }
 
   // ---------------------------------------------------------------------------------- schedule
@@ -426,6 +543,11 @@ class Load {
   }
 
   // ------------------------------------------------------------------------------ demand bound
+
+  /// On a level above others a job has paid for it.
+  [[nodiscard]] Ticks to_start_above() const {
+    return xpu_.preemptive ? xpu_.preempt_us * w_.scale : 0;
+  }
 
   struct Blocker {
     Ticks until = 0;  ///< what it blocks are intervals shorter than this
@@ -596,9 +718,9 @@ class Load {
 
   Status bound_demand() {
     Ticks longest = 0;
-    if (!xpu_.preemptive)
+    if (blocks_)
       for (const Group& g : groups_)
-        for (const int j : g.xnodes) longest = std::max(longest, w_.wcet[at(j)]);
+        for (const int j : g.xnodes) longest = std::max(longest, w_.wcet[at(j)] + to_start_above());
     std::optional<Ticks> end = busy(longest);
     if (!end) end = turn();
     if (!end) return no_end();
@@ -616,18 +738,17 @@ class Load {
     }
     const std::vector<Step> total = sum(curves);
     XAUTO_TRY(compare(total, nullptr));
-    if (xpu_.preemptive) return {};
-    for (std::size_t k = 0; k < groups_.size(); ++k)
+    for (std::size_t k = 0; blocks_ && k < groups_.size(); ++k)
       for (const int j : groups_[k].xnodes) {
-        Blocker blocker{0, w_.wcet[at(j)], j};
+        Blocker blocker{0, w_.wcet[at(j)] + to_start_above(), j};
+        const Span& of = groups_[k].items_of.at(j);
+        for (std::size_t n = of.first; n < of.first + of.size; ++n)
+          blocker.until =
+              std::max(blocker.until, groups_[k].items[n].window.d - groups_[k].items[n].last);
         if (groups_[k].urgent) {
-          for (const Window& window : w_.urgent[at(j)])
-            blocker.until = std::max(blocker.until, window.d - window.e);
           XAUTO_TRY(compare(total, &blocker));
           continue;
         }
-        for (const Window& window : w_.windows[at(j)])
-          blocker.until = std::max(blocker.until, window.d - window.e);
         // Most hold whatever is in the interval. Else phases, and who waits for whom, decide.
         const XpuProof proof = proof_;
         const Ticks slack = slack_;
@@ -661,7 +782,10 @@ class Load {
         const Ticks delta = c.phi + n * c.period - release;
         const Ticks until = most(delta, c.ppm) + other.d - start.window.a;
         if (until <= 0) break;
-        if (least(delta, c.ppm) + other.e >= start.window.a || waits(delta, start.xnode)) continue;
+        const Ticks begun = last_of(g, j, n);
+        if (begun == kMaxTicks || least(delta, c.ppm) + begun >= start.window.a ||
+            waits(delta, start.xnode))
+          continue;
         if (!known) demand_from(g, all, from, end, steps);
         known = true;
         own.clear();
@@ -723,6 +847,7 @@ class Load {
   int m_;
   std::vector<Group> groups_;
   XpuProof proof_;
+  bool blocks_ = false;  ///< some job may be on the last level while another one waits
   Ticks slack_ = kMaxTicks;
   __int128 steps_ = 0;
 };

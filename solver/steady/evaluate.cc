@@ -239,7 +239,8 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
     for (int i = 0; i < p_.num_xnodes; ++i) {
       const std::size_t m = at(decision.xpu[at(i)]);
       const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0 ||
-                         decision.held[at(i)] != 0 || p_.preemptive[m] == 0 || p_.preempt[m] > 0;
+                         decision.held[at(i)] != 0 || p_.levels[m] != kAnyLevels ||
+                         p_.preempt[m] > 0;
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
         const std::size_t s = at(p_.slot[at(i)] + n);
         out.w.hold[s] = holds ? out.schedule.start[s] / p_.scale * p_.scale : 0;

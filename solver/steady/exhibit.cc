@@ -201,7 +201,7 @@ void Exhibitor::dispatch(const Rule& rule, int xpu, Tick now) {
   Xpu& x = xpus_[at(xpu)];
   if (x.ready.empty()) return;
   if (x.running.job >= 0) {
-    if (!(x.running > x.ready.front()) || p_.preemptive[at(xpu)] == 0) return;
+    if (!(x.running > x.ready.front()) || x.interrupted + 1 >= p_.levels[at(xpu)]) return;
     if (rule.polite[at(p_.slot_xnode[ix(x.ready.front().job % jobs_ + base_)])] != 0) return;
     left_[ix(x.running.job)] = x.end - now;
     ++x.interrupted;

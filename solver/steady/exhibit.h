@@ -2,9 +2,9 @@
 // Exhibit: the schedule that keys give to one domain, simulated until a hyperperiod repeats the one
 // before. Its finishes are keys (docs/steady-state.md, theorem); certificate.h proves them again.
 //
-// The rule: an XPU runs the ready job of the smallest key. Where it is preemptive, a job that is not
-// `polite` interrupts one of a larger key, and a job that starts while another one is interrupted
-// takes `cost` more. Every XNode takes its `work`; roots are ready at their latest arrival. A job is
+// The rule: an XPU runs the ready job of the smallest key. As long as fewer jobs have started and not
+// ended than it has levels (one, where it does not preempt), a job that is not `polite` interrupts one of
+// a larger key. A job that starts while another one is interrupted takes `cost` more. Every XNode takes its `work`; roots are ready at their latest arrival. A job is
 // seen to be done at a whole microsecond after its nominal release, since keys are whole.
 // On an XPU that several domains share, a job takes its `window`, whoever else is there: the demand
 // bound decides whether the XPU can serve all of them.

@@ -459,7 +459,9 @@ class Walk {
   void visit(int index) {
     Job& x = jobs_[at(index)];
     OnXpu& m = by_xpu_[at(x.xpu)];
-    const bool blocks = p_.preemptive[at(x.xpu)] == 0;
+    // Where not any number may have started, whoever has counts as the last.
+    const bool blocks = p_.levels[at(x.xpu)] != kAnyLevels;
+    const Tick cost = p_.preemptive[at(x.xpu)] == 0 ? 0 : in_fast_time(p_.preempt[at(x.xpu)], ppm_);
     std::vector<Blocker> blockers;
     if (blocks) larger(x, std::max(x.ready, until_), [&](int j) { blockers.push_back({j, 0}); });
     const auto pass = [&](int z) {
@@ -469,17 +471,18 @@ class Walk {
     const auto blocked = [&](Tick s) {
       Tick most = 0;
       for (const Blocker& b : blockers)
-        if (jobs_[at(b.job)].starts < s) most = std::max(most, jobs_[at(b.job)].wcet - b.less);
+        if (jobs_[at(b.job)].starts < s)
+          most = std::max(most, jobs_[at(b.job)].wcet + cost - b.less);
       return most;
     };
     // The second table's certificate does not know jobs of the first one: who blocks x at s, or is there to
     // be preempted, at a cost, by what comes from s on.
     const auto meets_first = [&](Tick s, Tick least_key) {
-      if (!blocks && p_.preempt[at(x.xpu)] == 0) return false;
+      if (!blocks && cost == 0) return false;
       return std::any_of(m.of_first.begin(), m.of_first.end(), [&](int j) {
         const Job& v = jobs_[at(j)];
-        if (blocks) return v.starts < s && latest_key(v) > earliest_key(x);
-        return (!v.visited || v.ends > s) && latest_key(v) > least_key;
+        if (blocks && v.starts < s && latest_key(v) > earliest_key(x)) return true;
+        return cost > 0 && (!v.visited || v.ends > s) && latest_key(v) > least_key;
       });
     };
     const auto may_be_first = [&](const Job& z) { return earliest_key(z) <= latest_key(x); };
@@ -499,7 +502,7 @@ class Walk {
          k < m.by_key.size() && jobs_[at(m.by_key[k])].key <= latest_key(x) + blur_; ++k) {
       Job& z = jobs_[at(m.by_key[k])];
       if (z.walked || !may_be_first(z)) continue;
-      z.work = z.wcet + (blocks ? 0 : in_fast_time(p_.preempt[at(x.xpu)], ppm_));
+      z.work = z.wcet + cost;
       sum += z.work;
       certified = false;
       pass(m.by_key[k]);

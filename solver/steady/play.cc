@@ -241,9 +241,11 @@ class Play {
     Atoms key = 0;  ///< or rank
     int xnode = -1;
     std::int64_t activation = 0;
-    Atoms since = 0;  ///< with ranks: when it became ready
+    Atoms since = 0;     ///< with ranks: when it became ready
+    bool above = false;  ///< it has started on a level: nobody of its key is started above it
     bool operator>(const Ready& o) const {
       return key != o.key       ? key > o.key
+             : above != o.above ? o.above
              : since != o.since ? since > o.since
              : xnode != o.xnode ? xnode > o.xnode
                                 : activation > o.activation;
@@ -525,6 +527,7 @@ class Play {
     const bool preempts = d.busy || above;
     if (d.busy) {
       if (!xpu.preemptive || next.key >= d.running.key) return;
+      if (xpu.levels > 0 && d.begun >= xpu.levels) return;
       job(d.running.xnode, d.running.activation).left -= now_ - d.since;
       d.used += now_ - d.since;
       ++report_.suspended;
@@ -542,6 +545,7 @@ class Play {
     j.started = true;
     d.busy = true;
     d.running = next;
+    d.running.above = xpu.levels > 0;
     d.since = now_;
     events_.push({now_ + j.left, Kind::kEnds, next.xnode, next.activation, ++d.stamp});
   }

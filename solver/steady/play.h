@@ -6,8 +6,9 @@
 //   An XNode's activations run in order. It is ready when its predecessors of the same activation
 //   have ended (transfers included), its sources' messages are there, its hold is over, and, if it
 //   enters its module, activation n - max_in_flight has left. Key and hold of an urgent release are
-//   earlier. What suspends another job pays
-//   preempt_us once. Everything that ends at one instant ends before any XPU decides.
+//   earlier. What starts while another job has started and not ended pays preempt_us once, if that was
+//   suspended for it or the XPU has levels. Once as many have started as an XPU has levels, the running one
+//   runs to its end. Everything that ends at one instant ends before any XPU decides.
 #pragma once
 
 #include <cstdint>

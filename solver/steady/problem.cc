@@ -68,6 +68,7 @@ struct Builder {
       Tick cost = 0;
       XAUTO_TRY(ticks(xpu.preempt_us, "preempt_us of XPU '" + xpu.id + "'", cost));
       p.preempt.push_back(cost);
+      p.levels.push_back(!xpu.preemptive ? 1 : xpu.levels == 0 ? kAnyLevels : xpu.levels);
     }
     return {};
   }

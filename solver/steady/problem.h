@@ -10,6 +10,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -38,6 +39,8 @@ inline constexpr std::size_t kMostPaths = 4096;
 inline constexpr int kMostPathSteps = 1'000'000;
 
 inline constexpr std::int64_t kMillion = 1'000'000;
+/// Levels of an XPU that preempts without limit.
+inline constexpr int kAnyLevels = std::numeric_limits<int>::max();
 
 [[nodiscard]] constexpr Tick floor_div(Tick a, Tick b) {
   return a >= 0 ? a / b : -((-a + b - 1) / b);
@@ -103,7 +106,8 @@ struct Problem {
   std::vector<int> xpu_type;                ///< [xpu]
   std::vector<std::vector<int>> type_xpus;  ///< [type]
   std::vector<char> preemptive;             ///< [xpu]
-  std::vector<Tick> preempt;                ///< [xpu] cost of starting by preempting
+  std::vector<int> levels;    ///< [xpu] so many jobs may have started at once; not preemptive: 1
+  std::vector<Tick> preempt;  ///< [xpu] cost of starting by preempting
   /// XPUs of one type on which each XNode may be alike, whatever pins and forbids say of single ones.
   std::vector<std::vector<int>> place_xpus;  ///< [place]
   std::vector<int> xpu_place;                ///< [xpu]

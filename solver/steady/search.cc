@@ -580,7 +580,8 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   }
   if (what < kPoliteBelow) {
     const int m = next.xpu[at(i)];
-    if (p_.preemptive[at(m)] == 0 || p_.preempt[at(m)] == 0) return false;
+    if (p_.preemptive[at(m)] == 0 || (p_.preempt[at(m)] == 0 && p_.levels[at(m)] == kAnyLevels))
+      return false;
     next.polite[at(i)] = next.polite[at(i)] == 0 ? 1 : 0;
     return true;
   }

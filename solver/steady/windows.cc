@@ -6,44 +6,50 @@
 namespace xauto::solver::steady {
 namespace {
 
+/// XNode i against another one of its XPU. `starts`: [slot] before which no job of j has started in the way
+/// that is asked for; kForever: never.
 struct Pair {
   const Problem& p;
   const Windows& w;
+  const std::vector<Tick>& starts;
   int i, j;
-  Tick least_e = 0;  ///< of j
-  Tick longest = 0;  ///< largest d - e of j
-  Tick deepest = 0;  ///< largest d of j
+  Tick least = kForever;  ///< of the starts of j
+  Tick longest = 0;       ///< largest d - start of j; 0: no job of it starts
+  Tick deepest = 0;       ///< largest d of j
 
   bool apart;  ///< their phase is not known
 
-  Pair(const Problem& problem, const Windows& windows, int xnode, int other, bool shared)
+  Pair(const Problem& problem, const Windows& windows, const std::vector<Tick>& start, int xnode,
+       int other, bool shared)
       : p(problem),
         w(windows),
+        starts(start),
         i(xnode),
         j(other),
-        apart(shared && p.component_of[at(i)] != p.component_of[at(j)] &&
-              p.domains[at(p.domain_of(i))].part) {
-    least_e = w.e[at(p.slot[at(j)])];
+        apart(p.domain_of(i) != p.domain_of(j) ||
+              (shared && p.component_of[at(i)] != p.component_of[at(j)] &&
+               p.domains[at(p.domain_of(i))].part)) {
     for (int m = 0; m < p.jobs[at(j)]; ++m) {
       const std::size_t s = at(p.slot[at(j)] + m);
-      least_e = std::min(least_e, w.e[s]);
-      longest = std::max(longest, w.d[s] - w.e[s]);
+      least = std::min(least, starts[s]);
+      longest = std::max(longest, w.d[s] - starts[s]);
       deepest = std::max(deepest, w.d[s]);
     }
   }
 
-  /// Whether some (j, m) may be running when (i, n) becomes ready, with a larger key.
-  [[nodiscard]] bool meets(int n) const {
+  /// Whether some (j, m) may have started when (i, n) becomes ready, with a larger key.
+  [[nodiscard]] bool meets(int n) const { return first(n, true) < kForever; }
+  /// The earliest start of such a job, after the release of (i, n); kForever: there is none. `any`: of any one.
+  [[nodiscard]] Tick first(int n, bool any = false) const {
     const Component& ci = p.components[at(p.component_of[at(i)])];
     const Component& cj = p.components[at(p.component_of[at(j)])];
     const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
-    if (ci.domain != cj.domain || apart) return longest > d - a;
+    if (least == kForever) return kForever;
+    if (apart) return longest > d - a ? d - longest : kForever;
     // A clock that drifts moves releases against each other by up to this within the windows.
     const Tick blur = lost_in(a + d + deepest, p.domains[at(ci.domain)].ppm);
     const Tick release = ci.phase + n * ci.period, ready = release + a + blur;
-    // The last activation of j that may have started decides, since d + release does not fall from
-    // one activation to the next.
-    std::int64_t m = floor_div(ready - 1 - cj.phase - least_e, cj.period);
+    std::int64_t m = floor_div(ready - 1 - cj.phase - least, cj.period);
     // Who waits for whom is of one period and phase: activations of one number belong together.
     if (p.before(i, j)) m = std::min<std::int64_t>(m, n - 1);
     if (&ci == &cj) {
@@ -51,12 +57,59 @@ struct Pair {
       if (module >= 0 && module == p.module_of[at(j)])
         m = std::min(m, n + std::min(p.modules[at(module)].in_flight, kMillion) - 1);
     }
-    // At the latest one whose activations have all started: e is not below least_e.
-    while (cj.phase + m * cj.period + w.e[p.slot_of(j, m)] >= ready) --m;
-    if (m <= n && p.before(j, i)) return false;
-    return cj.phase + m * cj.period + w.d[p.slot_of(j, m)] + blur > release + d;
+    const bool waits = p.before(j, i);
+    Tick earliest = kForever;
+    // d + release does not fall from one activation to the next.
+    for (;; --m) {
+      const Tick of = cj.phase + m * cj.period, start = starts[p.slot_of(j, m)];
+      if (of + w.d[p.slot_of(j, m)] + blur <= release + d || (waits && m <= n)) return earliest;
+      if (start == kForever || of + start >= ready) continue;
+      earliest = std::min(earliest, of + start - blur - release);
+      if (any) return earliest;
+    }
   }
 };
+
+/// [slot] of the XNodes `here`: the earliest start as the last of the XPU's levels.
+///   starts as the first: e;  as one more: max(e, the least start of whom it may start above)
+/// `urgent`: releases of some keep no phase to anything, so lengths alone count, the shortest to start above,
+/// the longest to be started above (an urgent one's is not longer than the ordinary one's).
+void set_last_starts(const Problem& p, const std::vector<int>& here, int levels, bool shared,
+                     const Windows& w, const Windows& u, std::vector<Tick>& starts) {
+  const bool any_urgent =
+      std::any_of(here.begin(), here.end(), [&](int i) { return p.urgent[at(i)] != 0; });
+  const auto each = [&](int i, const auto& act) {
+    for (int n = 0; n < p.jobs[at(i)]; ++n) act(n, at(p.slot[at(i)] + n));
+  };
+  // Activations of an XNode are one after the other: so many have started only if so many XNodes and one are here.
+  const bool enough = static_cast<int>(here.size()) > levels;
+  for (const int i : here)
+    each(i, [&](int, std::size_t s) { starts[s] = enough ? w.e[s] : kForever; });
+  std::vector<Tick> next = starts;
+  for (int level = 1; enough && level < levels; ++level) {
+    for (const int i : here) {
+      each(i, [&](int, std::size_t s) { next[s] = kForever; });
+      for (const int j : here) {
+        if (i == j) continue;
+        const Pair pair(p, w, starts, i, j, shared);
+        if (!any_urgent) {
+          each(i, [&](int n, std::size_t s) { next[s] = std::min(next[s], pair.first(n)); });
+          continue;
+        }
+        Tick shortest = kForever;
+        each(i, [&](int, std::size_t s) {
+          shortest = std::min(shortest, w.d[s] - w.a[s]);
+          if (p.urgent[at(i)] != 0) shortest = std::min(shortest, u.d[s] - u.a[s]);
+        });
+        if (pair.longest > shortest)
+          each(i, [&](int, std::size_t s) { next[s] = std::min(next[s], w.d[s] - pair.longest); });
+      }
+      each(i, [&](int, std::size_t s) { next[s] = std::max(next[s], w.e[s]); });
+    }
+    if (next == starts) return;  // so it is for any number of levels
+    starts = next;
+  }
+}
 
 /// Adds to `a` of entries that they wait until their modules have room; of one domain, or, -1, of
 /// all urgent ones. Those before them are as in `w`.
@@ -197,31 +250,42 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, con
             int only_xpu, Charges& out) {
   out.preempts.assign(at(p.num_slots), 0);
   out.blocked_by.assign(at(p.num_slots), 0);
+  out.last_start.assign(at(p.num_slots), kForever);
   out.urgent_preempts.assign(at(p.num_xnodes), 0);
   std::vector<std::vector<int>> here(at(p.num_xpus));
   for (int i = 0; i < p.num_xnodes; ++i) here[at(xpu[at(i)])].push_back(i);
   for (int m = 0; m < p.num_xpus; ++m) {
     if (only_xpu >= 0 && m != only_xpu) continue;
-    const bool preemptive = p.preemptive[at(m)] != 0;
-    if (preemptive && p.preempt[at(m)] == 0) continue;
+    const bool limited = p.levels[at(m)] != kAnyLevels;
+    const bool costs = p.preemptive[at(m)] != 0 && p.preempt[at(m)] > 0;
+    if (!limited && !costs) continue;
     const bool shared = std::any_of(here[at(m)].begin(), here[at(m)].end(), [&](int i) {
       return p.domain_of(i) != p.domain_of(here[at(m)].front());
     });
+    if (limited) set_last_starts(p, here[at(m)], p.levels[at(m)], shared, w, u, out.last_start);
     for (const int i : here[at(m)])
       for (const int j : here[at(m)]) {
         if (i == j) continue;
-        const Pair pair(p, w, i, j, shared);
-        for (int n = 0; n < p.jobs[at(i)]; ++n) {
-          const std::size_t s = at(p.slot[at(i)] + n);
-          if (preemptive) {
+        const auto slots = [&](const std::vector<Tick>& starts, const auto& act) {
+          const Pair pair(p, w, starts, i, j, shared);
+          for (int n = 0; n < p.jobs[at(i)]; ++n) act(pair, n, at(p.slot[at(i)] + n));
+        };
+        if (costs)
+          slots(w.e, [&](const Pair& pair, int n, std::size_t s) {
             if (out.preempts[s] == 0 && pair.meets(n)) out.preempts[s] = 1;
-          } else if (p.wcet(j, m) > out.blocked_by[s] && pair.meets(n)) {
-            out.blocked_by[s] = p.wcet(j, m);
-          }
-        }
+          });
+        const Tick work = work_of_blocker(p, j, m);
+        if (limited)
+          slots(out.last_start, [&](const Pair& pair, int n, std::size_t s) {
+            if (work > out.blocked_by[s] && pair.meets(n)) out.blocked_by[s] = work;
+          });
       }
-    if (preemptive && p.any_urgent) charge_urgent(p, here[at(m)], w, u, out);
+    if (costs && p.any_urgent) charge_urgent(p, here[at(m)], w, u, out);
   }
+}
+
+Tick work_of_blocker(const Problem& p, int xnode, int xpu) {
+  return p.wcet(xnode, xpu) + (p.preemptive[at(xpu)] != 0 ? p.preempt[at(xpu)] : 0);
 }
 
 }  // namespace xauto::solver::steady

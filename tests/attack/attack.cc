@@ -2,6 +2,7 @@
 #include "attack/attack.h"
 
 #include <algorithm>
+#include <climits>
 #include <numeric>
 #include <queue>
 #include <set>
@@ -312,6 +313,7 @@ class Run {
   struct Device {
     std::priority_queue<Ready, std::vector<Ready>, std::greater<>> ready;
     bool busy = false, look = false;
+    int open = 0;  ///< jobs that have started and not ended
     Ready running{};
     Atoms since = 0;
     std::uint32_t stamp = 0;
@@ -364,7 +366,8 @@ class Run {
     const Xpu& xpu = w_.platform_.xpus[m];
     for (std::size_t x = 0; x < jobs_.size(); ++x)
       if (x != i && at(w_.policy_.placements[x].xpu) == m &&
-          (!xpu.preemptive || xpu.preempt_us > 0) && !ended(x, [&](const Job& other) {
+          (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0) &&
+          !ended(x, [&](const Job& other) {
             const bool released = other.release <= now_;
             if (w_.early_ == Early::kByTheSequence) return released && other.planned < job.planned;
             return other.key <= job.key && (released || w_.early_ != Early::kOfTheReleased);
@@ -397,6 +400,7 @@ class Run {
     Device& device = xpus_[at(w_.policy_.placements[at(e.xnode)].xpu)];
     if (!device.busy || device.stamp != e.stamp) return;
     device.busy = false;
+    --device.open;
     device.look = true;
     jobs_[at(e.xnode)][at(e.activation)].end = now_;
     for (const auto& [v, transfer] : w_.edges_out_[at(e.xnode)])
@@ -419,19 +423,28 @@ class Run {
     if (device.ready.empty()) return;
     const Ready next = device.ready.top();
     Job& job = jobs_[at(next.xnode)][at(next.activation)];
+    const Xpu& xpu = w_.platform_.xpus[m];
+    const bool levels = xpu.levels > 0;
+    const bool above = levels ? device.open > 0 : device.busy;
     if (device.busy) {
-      if (!w_.platform_.xpus[m].preemptive || next.key >= device.running.key) return;
+      if (!xpu.preemptive || next.key >= device.running.key) return;
+      if (levels && device.open == xpu.levels) return;
       Job& victim = jobs_[at(device.running.xnode)][at(device.running.activation)];
       victim.left -= now_ - device.since;
       device.ready.pop();
       device.ready.push(device.running);
-      if (job.start < 0) job.left += w_.atoms(w_.platform_.xpus[m].preempt_us);
     } else {
       device.ready.pop();
     }
-    if (job.start < 0) job.start = now_;
+    if (job.start < 0) {
+      if (above) job.left += w_.atoms(xpu.preempt_us);
+      job.start = now_;
+      ++device.open;
+    }
     device.busy = true;
     device.running = next;
+    // Who has a level goes before who comes later with the same key.
+    if (levels) device.running.tie = INT_MIN;
     device.since = now_;
     push(now_ + job.left, kEnds, at(next.xnode), next.activation, ++device.stamp);
   }

@@ -47,6 +47,10 @@ const Kind kKinds[] = {
      {.clocks = 2, .ppm = 1000, .load = 0.6, .preemptive = false}},
     {"three clocks, 10000 ppm",
      {.clocks = 3, .ppm = 10'000, .components = 5, .load = 0.8, .preempt_us = 4, .jitter_us = 100}},
+    {"two levels, loaded, preemption 5",
+     {.components = 5, .load = 0.85, .preempt_us = 5, .levels = 2, .jitter_us = 40}},
+    {"three levels, two clocks, 1000 ppm",
+     {.clocks = 2, .ppm = 1000, .components = 5, .load = 0.8, .levels = 3, .holds = true}},
 };
 
 /// What the solver is not told.
@@ -68,6 +72,14 @@ const Fault kFaults[] = {
     {"that an XPU does not preempt",
      [](AppSpec&, Platform& platform) {
        for (Xpu& xpu : platform.xpus) xpu.preemptive = true;
+     }},
+    {"how many levels an XPU has",
+     [](AppSpec&, Platform& platform) {
+       for (Xpu& xpu : platform.xpus) xpu.levels = 0;
+     }},
+    {"that an XPU has no level more",
+     [](AppSpec&, Platform& platform) {
+       for (Xpu& xpu : platform.xpus) xpu.levels += xpu.levels > 0 ? 1 : 0;
      }},
     {"how many are in flight",
      [](AppSpec& app, Platform&) {

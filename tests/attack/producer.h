@@ -36,6 +36,7 @@ struct Wanted {
   double load = 0.5;
   bool preemptive = true;
   std::int64_t preempt_us = 0;
+  int levels = 0;  ///< of XPUs that preempt; 0: any number
   std::int64_t jitter_us = 0;
   bool thirds = false;  ///< periods that are no whole microseconds
   bool holds = false;
@@ -52,8 +53,8 @@ inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
   c.app.version = 2;
   c.app.name = "random";
   c.platform = {"p",
-                {{"cpu0", "cpu", wanted.preemptive, wanted.preempt_us, 0, -1},
-                 {"gpu0", "gpu", wanted.preemptive, wanted.preempt_us, 0, -1},
+                {{"cpu0", "cpu", wanted.preemptive, wanted.preempt_us, 0, -1, wanted.levels},
+                 {"gpu0", "gpu", wanted.preemptive, wanted.preempt_us, 0, -1, wanted.levels},
                  {"dla0", "dla", false, 0, 0, -1}}};
   if (wanted.preemptive) c.platform.xpus.pop_back();
   c.app.clocks = {{"main", wanted.clocks == 1 ? wanted.ppm : 0}};

@@ -103,31 +103,6 @@ TEST(Platform, BuiltInsAreThePapers) {
   EXPECT_FALSE(intel.xpus[static_cast<std::size_t>(intel.find("npu0"))].preemptive);
 }
 
-TEST(ValidateOn, InVersion2AsManyActivationsAsAnXpuHasLevelsAndNoMore) {
-  AppSpec app;
-  app.name = "a";
-  for (const char* module : {"A", "B", "C"})
-    app.xnodes.push_back({std::string(module) + ".x", module, {{"gpu", 5}}});
-  app.xnodes.push_back({"A.y", "A", {{"gpu", 5}}});
-  app.xnodes.push_back({"D.x", "D", {{"cpu", 5}}});
-  Platform platform = Platform::builtin("small").value();
-  Xpu& gpu = platform.xpus[static_cast<std::size_t>(platform.find("gpu0"))];
-  gpu.levels = 2;
-  EXPECT_TRUE(validate_on(app, platform)) << "version 1 is planned with levels that are taken";
-  app.version = 2;
-  gpu.levels = 3;
-  EXPECT_TRUE(validate_on(app, platform)) << "one job of a module at a time";
-  app.modules = {{"B", 2}};
-  EXPECT_FALSE(validate_on(app, platform)) << "two activations of B";
-  app.modules.clear();
-  gpu.levels = 2;
-  const Status refused = validate_on(app, platform);
-  ASSERT_FALSE(refused);
-  EXPECT_NE(refused.error().what.find("3 activations"), std::string::npos);
-  gpu.levels = 0;
-  EXPECT_TRUE(validate_on(app, platform));
-}
-
 TEST(Profile, WcetIsTheWorstInstancesMaxPlusMarginRoundedUp) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;

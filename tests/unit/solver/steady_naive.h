@@ -256,23 +256,30 @@ class NaiveRun {
         if (jobs_[k].end < 0) when[k] = ready(jobs_[k]);
       for (std::size_t m = 0; m < running.size(); ++m) {
         const Xpu& xpu = platform_.xpus[m];
-        int best = -1;
+        int best = -1, open = 0;
         for (std::size_t k = 0; k < jobs_.size(); ++k) {
           const Job& j = jobs_[k];
           if (j.end >= 0 || at(j.xpu) != m || when[k] < 0 || when[k] > now) continue;
-          if (best < 0 || j.release + j.key < jobs_[at(best)].release + jobs_[at(best)].key)
+          open += j.start >= 0 ? 1 : 0;
+          const Time ahead =
+              best < 0 ? 1 : jobs_[at(best)].release + jobs_[at(best)].key - j.release - j.key;
+          // With levels who has started goes before who has not and has the same key.
+          if (ahead > 0 ||
+              (ahead == 0 && xpu.levels > 0 && j.start >= 0 && jobs_[at(best)].start < 0))
             best = static_cast<int>(k);
         }
         int& r = running[m];
         if (best < 0 || r == best) continue;
         if (r >= 0) {
           const Job& has = jobs_[at(r)];
-          if (!xpu.preemptive ||
+          if (!xpu.preemptive || (xpu.levels > 0 && open == xpu.levels) ||
               has.release + has.key <= jobs_[at(best)].release + jobs_[at(best)].key)
             continue;
           if (!jobs_[at(best)].paid && jobs_[at(best)].start < 0)
             jobs_[at(best)].left += xpu.preempt_us * scale_;
           jobs_[at(best)].paid = true;
+        } else if (xpu.levels > 0 && open > 0 && jobs_[at(best)].start < 0) {
+          jobs_[at(best)].left += xpu.preempt_us * scale_;
         }
         r = best;
         if (jobs_[at(r)].start < 0) jobs_[at(r)].start = now;
