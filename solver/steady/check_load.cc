@@ -15,8 +15,10 @@
 //
 // Levels. An XPU that does not preempt has one, another one as many as it says, or any number. A job that is
 // started while others have started and not ended is on the level above theirs. On the last one it is not
-// interrupted. `last` is the earliest begin of a job there, found level by level: it is put above one of a
-// later key that has begun before it is ready, and begins after that one.
+// interrupted. Jobs on levels are nested: each has become ready after the one below has begun, and has an earlier
+// key. Inside a group this is followed by phases. Of the other groups, whose phases are not known, as many may
+// be below as are nested inside them and longer than the window of the job. With urgent releases each XNode
+// counts for itself.
 //
 // Drift. A window is [R(r) + a, R(r) + d], R the real time of a point of the clock's grid, whose
 // slope is in [1 - ppm, 1 + ppm]. A schedule on the grid in which a job gets C / (1 - ppm) within
@@ -305,13 +307,15 @@ class Load {
 
   // ------------------------------------------------------------------------------------ levels
 
-  /// Of activation n of an XNode of `g`.
-  static Ticks last_of(const Group& g, int xnode, std::int64_t n) {
+  /// Of activation n of an XNode of `g`: its begin as asked for.
+  static Ticks begin_of(const Group& g, const std::vector<Ticks>& begins, int xnode,
+                        std::int64_t n) {
     const Span& of = g.items_of.at(xnode);
     const auto size = static_cast<std::int64_t>(of.size);
-    return g.items[of.first + static_cast<std::size_t>((n % size + size) % size)].last;
+    return begins[of.first + static_cast<std::size_t>((n % size + size) % size)];
   }
 
+  /// Sets `last` of all items, and whether some job may wait while all levels are in use.
   void find_last() {
     std::set<int> here;
     bool urgent = false;
@@ -319,40 +323,76 @@ class Load {
       here.insert(g.xnodes.begin(), g.xnodes.end());
       urgent = urgent || g.urgent;
     }
-    const std::int64_t levels = !xpu_.preemptive ? 1 : xpu_.levels;
+    const auto levels = static_cast<std::size_t>(!xpu_.preemptive ? 1 : xpu_.levels);
     // One activation of an XNode at a time, and one of another XNode that waits.
-    if (levels == 0 || static_cast<std::int64_t>(here.size()) <= levels) return;
-    for (Group& g : groups_)
-      for (Item& i : g.items) i.last = i.window.e;
-    for (std::int64_t level = 2; level <= levels; ++level) {
-      std::vector<std::vector<Ticks>> above;
-      bool later = false;
-      for (const Group& g : groups_) {
-        above.emplace_back();
-        std::vector<std::int64_t> lags;
-        int lags_of = -1;
-        for (const Item& i : g.items) {
-          if (lags_of != i.xnode) lags.clear();
-          lags_of = i.xnode;
-          Ticks least_begin = kMaxTicks;
-          for (const Group& other : groups_)
-            least_begin = std::min(least_begin, urgent         ? above_by_length(i, other)
-                                                : &other == &g ? above_own(i, g, lags)
-                                                               : above_other(i, g, other));
-          above.back().push_back(std::max(i.window.e, least_begin));
-          later = later || above.back().back() != i.last;
-        }
+    if (levels == 0 || here.size() <= levels) return;
+    // Where phases are known, how long jobs may be at each depth; else of each XNode one job.
+    std::vector<std::vector<std::vector<Ticks>>> inside;  // [group][depth - 1][item] lengths
+    std::map<int, Ticks> longest_of;
+    for (const Group& g : groups_) {
+      inside.push_back(lengths_inside(g, urgent ? 1 : levels + 1));
+      for (std::size_t k = 0; k < g.items.size(); ++k) {
+        Ticks& longest = longest_of[g.items[k].xnode];
+        longest = std::max(longest, inside.back()[0][k]);
       }
-      if (!later) break;  // so it is on all levels
-      for (std::size_t g = 0; g < groups_.size(); ++g)
-        for (std::size_t k = 0; k < above[g].size(); ++k) groups_[g].items[k].last = above[g][k];
     }
-    for (const Group& g : groups_)
-      for (const Item& i : g.items) blocks_ = blocks_ || i.last < kMaxTicks;
+    std::vector<std::vector<Ticks>> deepest;  // [group][depth - 1]
+    for (const auto& depths : inside) {
+      deepest.emplace_back();
+      for (const auto& lengths : depths) deepest.back().push_back(std::ranges::max(lengths));
+    }
+    for (std::size_t g = 0; g < groups_.size(); ++g)
+      for (std::size_t k = 0; k < groups_[g].items.size(); ++k) {
+        Item& i = groups_[g].items[k];
+        const Ticks shortest = i.window.d - i.window.a;
+        std::vector<Ticks> below;
+        for (std::size_t depth = 1; depth < inside[g].size(); ++depth)
+          if (inside[g][depth][k] > 0) below.push_back(inside[g][depth][k]);
+        if (urgent) {
+          for (const auto& [j, length] : longest_of)
+            if (j != i.xnode && length > shortest) below.push_back(length);
+        } else {
+          for (std::size_t other = 0; other < groups_.size(); ++other)
+            for (const Ticks length : deepest[other])
+              if (other != g && length > shortest) below.push_back(length);
+        }
+        blocks_ = blocks_ || below.size() >= levels;
+        if (below.size() + 1 < levels) continue;
+        std::ranges::sort(below, std::greater<>());
+        Ticks length = inside[g][0][k];
+        if (levels > 1) length = std::min(length, below[levels - 2]);
+        i.last = i.window.d - length;
+      }
   }
 
-  /// Earliest begin above a job of the group: phases are known.
-  Ticks above_own(const Item& i, const Group& g, std::vector<std::int64_t>& lags) const {
+  /// From the earliest begin above `depth` - 1 jobs of the group to the key; 0: never.
+  [[nodiscard]] std::vector<std::vector<Ticks>> lengths_inside(const Group& g,
+                                                               std::size_t most) const {
+    std::vector<std::vector<Ticks>> all;
+    std::vector<Ticks> begins;
+    for (const Item& i : g.items) begins.push_back(i.window.e);
+    while (true) {
+      std::vector<Ticks> lengths;
+      for (std::size_t k = 0; k < g.items.size(); ++k)
+        lengths.push_back(std::max<Ticks>(0, g.items[k].window.d - begins[k]));
+      if (std::ranges::max(lengths) == 0) return all;
+      all.push_back(std::move(lengths));
+      if (all.size() == std::min(most, g.xnodes.size())) return all;
+      std::vector<Ticks> next;
+      std::vector<std::int64_t> lags;
+      int lags_of = -1;
+      for (const Item& i : g.items) {
+        if (lags_of != i.xnode) lags.clear();
+        lags_of = i.xnode;
+        next.push_back(std::max(i.window.e, above_one(i, g, begins, lags)));
+      }
+      begins = std::move(next);
+    }
+  }
+
+  /// Earliest begin above a job of the group, which begins as `begins` say: phases are known.
+  Ticks above_one(const Item& i, const Group& g, const std::vector<Ticks>& begins,
+                  std::vector<std::int64_t>& lags) const {
     Ticks earliest = kMaxTicks;
     for (const int j : g.xnodes) {
       if (j == i.xnode) continue;
@@ -360,7 +400,7 @@ class Load {
       for (std::int64_t n = last_started(j, i.release, i.window.a);; --n) {
         const Ticks delta = c.phi + n * c.period - i.release, d = w_.window(j, n).d;
         if (most(delta, c.ppm) + d <= i.window.d) break;
-        const Ticks begun = last_of(g, j, n);
+        const Ticks begun = begin_of(g, begins, j, n);
         if (begun == kMaxTicks || least(delta, c.ppm) + begun >= i.window.a ||
             d - begun <= i.window.d - i.window.a)
           continue;
@@ -376,33 +416,6 @@ class Load {
       }
     }
     return earliest;
-  }
-
-  /// ... of another group.
-  Ticks above_other(const Item& i, const Group& own, const Group& other) const {
-    const auto pairs =
-        static_cast<__int128>(own.items.size()) * static_cast<std::int64_t>(other.items.size());
-    if (own.clock != other.clock || own.ppm > 0 || pairs > kMaxSteps)
-      return above_by_length(i, other);
-    const Ticks divisor = std::gcd(own.period, other.period);
-    Ticks earliest = kMaxTicks;
-    for (const Item& j : other.items) {
-      if (j.last == kMaxTicks) continue;
-      const Ticks phase = j.release - i.release, low = i.window.d - j.window.d;
-      const Ticks next = phase + (floor_div(low - phase, divisor) + 1) * divisor;
-      if (next + j.last < i.window.a) earliest = std::min(earliest, next + j.last);
-    }
-    return earliest;
-  }
-
-  /// ... in any phase, and an item stands for any activation of its XNode: it is put above whom it may be put
-  /// above with its shortest window, urgent or not.
-  Ticks above_by_length(const Item& i, const Group& other) const {
-    Ticks longest = 0;
-    for (const Item& j : other.items)
-      if (j.xnode != i.xnode && j.last < kMaxTicks)
-        longest = std::max(longest, j.window.d - j.last);
-    return longest > i.window.d - i.window.a ? i.window.d - longest : kMaxTicks;
   }
 
   // ---------------------------------------------------------------------------------- schedule
@@ -773,6 +786,8 @@ class Load {
     };
     std::vector<Step> curve, steps, own;
     const std::vector<Begin> all = begins(g);
+    std::vector<Ticks> last;
+    for (const Item& i : g.items) last.push_back(i.last);
     for (std::size_t from = 0; from < all.size(); ++from) {
       const Item& start = *all[from].item;
       const Ticks release = start.release;
@@ -782,7 +797,7 @@ class Load {
         const Ticks delta = c.phi + n * c.period - release;
         const Ticks until = most(delta, c.ppm) + other.d - start.window.a;
         if (until <= 0) break;
-        const Ticks begun = last_of(g, j, n);
+        const Ticks begun = begin_of(g, last, j, n);
         if (begun == kMaxTicks || least(delta, c.ppm) + begun >= start.window.a ||
             waits(delta, start.xnode))
           continue;

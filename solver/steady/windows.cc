@@ -2,6 +2,9 @@
 #include "solver/steady/windows.h"
 
 #include <algorithm>
+#include <functional>
+#include <map>
+#include <utility>
 
 namespace xauto::solver::steady {
 namespace {
@@ -70,46 +73,112 @@ struct Pair {
   }
 };
 
-/// [slot] of the XNodes `here`: the earliest start as the last of the XPU's levels.
-///   starts as the first: e;  as one more: max(e, the least start of whom it may start above)
-/// `urgent`: releases of some keep no phase to anything, so lengths alone count, the shortest to start above,
-/// the longest to be started above (an urgent one's is not longer than the ordinary one's).
-void set_last_starts(const Problem& p, const std::vector<int>& here, int levels, bool shared,
-                     const Windows& w, const Windows& u, std::vector<Tick>& starts) {
-  const bool any_urgent =
-      std::any_of(here.begin(), here.end(), [&](int i) { return p.urgent[at(i)] != 0; });
-  const auto each = [&](int i, const auto& act) {
-    for (int n = 0; n < p.jobs[at(i)]; ++n) act(n, at(p.slot[at(i)] + n));
-  };
-  // Activations of an XNode are one after the other: so many have started only if so many XNodes and one are here.
-  const bool enough = static_cast<int>(here.size()) > levels;
-  for (const int i : here)
-    each(i, [&](int, std::size_t s) { starts[s] = enough ? w.e[s] : kForever; });
-  std::vector<Tick> next = starts;
-  for (int level = 1; enough && level < levels; ++level) {
-    for (const int i : here) {
-      each(i, [&](int, std::size_t s) { next[s] = kForever; });
-      for (const int j : here) {
-        if (i == j) continue;
-        const Pair pair(p, w, starts, i, j, shared);
-        if (!any_urgent) {
-          each(i, [&](int n, std::size_t s) { next[s] = std::min(next[s], pair.first(n)); });
-          continue;
-        }
-        Tick shortest = kForever;
-        each(i, [&](int, std::size_t s) {
-          shortest = std::min(shortest, w.d[s] - w.a[s]);
-          if (p.urgent[at(i)] != 0) shortest = std::min(shortest, u.d[s] - u.a[s]);
+/// XNodes of one XPU whose phases are known: a domain; of a clock that has been split a component; where releases
+/// may be urgent, one XNode.
+struct Unit {
+  std::vector<int> xnodes;
+  /// [depth - 1][slot] the earliest start above depth - 1 others of the unit; kForever: never.
+  std::vector<std::vector<Tick>> starts;
+  std::vector<Tick> longest;  ///< [depth - 1] largest d - start
+};
+
+/// Last starts on one XPU that has `levels`.
+class Levels {
+ public:
+  Levels(const Problem& problem, const Windows& w, const Windows& u, int levels)
+      : p_(problem), w_(w), u_(u), levels_(levels) {}
+
+  void set_last_starts(const std::vector<int>& here, std::vector<Tick>& last) {
+    for (const int i : here) each(i, [&](std::size_t s) { last[s] = kForever; });
+    // Activations of an XNode are one after the other.
+    if (static_cast<int>(here.size()) <= levels_) return;
+    make_units(here);
+    bool waits = false;  // some job, while as many as there are levels have started
+    for (const Unit& unit : units_)
+      for (const int i : unit.xnodes)
+        each(i, [&](std::size_t s) {
+          const std::vector<Tick> under = lengths_under(unit, i, s);
+          waits = waits || at(levels_) <= under.size();
+          if (at(levels_) > under.size() + 1) return;
+          Tick length = w_.d[s] - w_.e[s];
+          if (levels_ > 1) length = std::min(length, under[at(levels_ - 2)]);
+          last[s] = w_.d[s] - length;
         });
-        if (pair.longest > shortest)
-          each(i, [&](int, std::size_t s) { next[s] = std::min(next[s], w.d[s] - pair.longest); });
-      }
-      each(i, [&](int, std::size_t s) { next[s] = std::max(next[s], w.e[s]); });
-    }
-    if (next == starts) return;  // so it is for any number of levels
-    starts = next;
+    if (waits) return;
+    for (const int i : here) each(i, [&](std::size_t s) { last[s] = kForever; });
   }
-}
+
+ private:
+  template <typename Act>
+  void each(int i, const Act& act) const {
+    for (int n = 0; n < p_.jobs[at(i)]; ++n) act(at(p_.slot[at(i)] + n));
+  }
+
+  void make_units(const std::vector<int>& here) {
+    const bool urgent =
+        std::any_of(here.begin(), here.end(), [&](int i) { return p_.urgent[at(i)] != 0; });
+    std::map<std::pair<int, int>, Unit> units;
+    for (const int i : here) {
+      const int domain = p_.domain_of(i);
+      const bool part = p_.domains[at(domain)].part;
+      units[urgent ? std::pair(-1, i) : std::pair(domain, part ? p_.component_of[at(i)] : -1)]
+          .xnodes.push_back(i);
+    }
+    for (auto& [key, unit] : units) {
+      make_starts(unit);
+      units_.push_back(std::move(unit));
+    }
+  }
+
+  ///   above nobody: e;  above one more: max(e, the least start of whom it may start above)
+  void make_starts(Unit& unit) const {
+    unit.starts.push_back(w_.e);
+    while (true) {
+      Tick longest = 0;
+      for (const int i : unit.xnodes)
+        each(i,
+             [&](std::size_t s) { longest = std::max(longest, w_.d[s] - unit.starts.back()[s]); });
+      if (longest <= 0) break;
+      unit.longest.push_back(longest);
+      if (unit.longest.size() == std::min(unit.xnodes.size(), at(levels_) + 1)) return;
+      std::vector<Tick> next(w_.e.size(), kForever);
+      for (const int i : unit.xnodes)
+        for (const int j : unit.xnodes) {
+          if (i == j) continue;
+          const Pair pair(p_, w_, unit.starts.back(), i, j, false);
+          for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+            const std::size_t s = at(p_.slot[at(i)] + n);
+            next[s] = std::min(next[s], std::max(w_.e[s], pair.first(n)));
+          }
+        }
+      unit.starts.push_back(std::move(next));
+    }
+    unit.starts.pop_back();
+  }
+
+  /// How long those are, at most, that a job of i may start above, the longest first: of its unit, whom it may
+  /// start above with the job itself no longer than that; of each other unit, jobs longer than its shortest
+  /// window, one inside the other. An urgent job's d - e is not larger than the ordinary one's.
+  [[nodiscard]] std::vector<Tick> lengths_under(const Unit& own, int i, std::size_t s) const {
+    std::vector<Tick> lengths;
+    for (std::size_t depth = 1; depth < own.starts.size(); ++depth)
+      if (own.starts[depth][s] < kForever) lengths.push_back(w_.d[s] - own.starts[depth][s]);
+    Tick shortest = w_.d[s] - w_.a[s];
+    if (p_.urgent[at(i)] != 0)
+      each(i, [&](std::size_t k) { shortest = std::min(shortest, u_.d[k] - u_.a[k]); });
+    for (const Unit& other : units_)
+      for (const Tick longest : other.longest)
+        if (&other != &own && longest > shortest) lengths.push_back(longest);
+    std::sort(lengths.begin(), lengths.end(), std::greater<>());
+    return lengths;
+  }
+
+  const Problem& p_;
+  const Windows& w_;
+  const Windows& u_;
+  int levels_;
+  std::vector<Unit> units_;
+};
 
 /// Adds to `a` of entries that they wait until their modules have room; of one domain, or, -1, of
 /// all urgent ones. Those before them are as in `w`.
@@ -262,7 +331,7 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, con
     const bool shared = std::any_of(here[at(m)].begin(), here[at(m)].end(), [&](int i) {
       return p.domain_of(i) != p.domain_of(here[at(m)].front());
     });
-    if (limited) set_last_starts(p, here[at(m)], p.levels[at(m)], shared, w, u, out.last_start);
+    if (limited) Levels(p, w, u, p.levels[at(m)]).set_last_starts(here[at(m)], out.last_start);
     for (const int i : here[at(m)])
       for (const int j : here[at(m)]) {
         if (i == j) continue;

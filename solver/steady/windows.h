@@ -44,7 +44,8 @@ struct Charges {
   std::vector<char> preempts;  ///< it may start by preempting: charged the XPU's cost
   std::vector<Tick>
       blocked_by;  ///< longest job that may have started as the last before it is ready
-  /// Earliest start, after the nominal release, as the last that the XPU's levels allow; kForever: never.
+  /// Earliest start, after the nominal release, as the last that the XPU's levels allow; kForever: never, or
+  /// nobody on the XPU may have to wait then.
   std::vector<Tick> last_start;
   std::vector<char> urgent_preempts;  ///< [xnode] as preempts, of an urgent release
 };

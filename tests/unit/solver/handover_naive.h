@@ -386,17 +386,28 @@ class HandoverRun {
       for (std::size_t m = 0; m < running.size(); ++m) {
         const Xpu& xpu = w_.tables.platform.xpus[m];
         Job* best = nullptr;
+        int open = 0;
         for (std::size_t i = 0; i < jobs_.size(); ++i) {
           if (when[i] < 0 || when[i] > now) continue;
           Job& j = jobs_[i][next_of[i]];
-          if (at(j.xpu) == m && (best == nullptr || first(j, *best))) best = &j;
+          if (at(j.xpu) != m) continue;
+          open += j.start >= 0 ? 1 : 0;
+          // With levels who has started goes before who has not and has the same key.
+          const bool equal = best != nullptr && j.release + j.key == best->release + best->key;
+          if (xpu.levels > 0 && equal && (j.start >= 0) != (best->start >= 0)) {
+            if (j.start >= 0) best = &j;
+          } else if (best == nullptr || first(j, *best)) {
+            best = &j;
+          }
         }
         Job*& r = running[m];
         if (best == nullptr || r == best) continue;
         if (r != nullptr) {
           if (!xpu.preemptive || r->release + r->key <= best->release + best->key) continue;
-          if (best->start < 0) best->left += xpu.preempt_us * w_.scale;
+          if (xpu.levels > 0 && open == xpu.levels) continue;
         }
+        if (best->start < 0 && (r != nullptr || (xpu.levels > 0 && open > 0)))
+          best->left += xpu.preempt_us * w_.scale;
         r = best;
         if (r->start < 0) r->start = now;
       }
