@@ -60,7 +60,7 @@ struct WalkedJob {
   Ticks work = 0;                            ///< what preempting costs included, once that is known
   Ticks ready = kUnknown, ended = kUnknown;  ///< A and F
   int waits = 0;                             ///< for so many of U that the walk has not come to
-  bool on_time = false, clean = false;       ///< of q, where the clock drifts
+  bool on_time = false, clean = false;       ///< of q, where its certificate is asked
 };
 
 /// Jobs of U on one XPU.
@@ -96,7 +96,8 @@ class Walk {
       : both_(both),
         hyperperiod_(hyperperiod),
         drift_{both.p.app.clocks[at(clock)].ppm},
-        drifts_(drift_.ppm > 0),
+        asks_q_(drift_.ppm > 0 || std::ranges::any_of(both.p.platform.xpus,
+                                                      [](const Xpu& x) { return x.levels > 0; })),
         lags_(both.p.wcet.size()) {
     for (std::size_t c = 0; c < both.p.components.size(); ++c) {
       if (both.p.components[c].clock != clock) continue;
@@ -139,7 +140,7 @@ class Walk {
         heap_.pop();
       }
       for (const int x : batch)
-        if (!drifts_ && !know(x)) return false;
+        if (!asks_q_ && !know(x)) return false;
       for (const int x : batch)
         if (!generate(jobs_[at(x)].late + 1)) return false;
       if (!know_fresh()) return false;
@@ -147,7 +148,7 @@ class Walk {
         WalkedJob& job = jobs_[at(x)];
         find_end(job);
         note_end(x);
-        const bool late = drifts_
+        const bool late = asks_q_
                               ? !job.clean
                               : !job.of_q || job.ended > job.key ||
                                     job.ready > job.release + both_.q.window(job.xnode, job.n).a;
@@ -306,7 +307,7 @@ class Walk {
   /// It waits for nobody any more.
   void walk_next(int x) {
     heap_.emplace(jobs_[at(x)].key, x);
-    if (drifts_) fresh_.push_back(x);
+    if (asks_q_) fresh_.push_back(x);
   }
   bool know_fresh() {
     while (!fresh_.empty()) {
@@ -322,7 +323,7 @@ class Walk {
     if (!generate(ready)) return false;  // who may have started before
     WalkedJob& job = jobs_[at(x)];
     job.ready = ready;
-    job.on_time = drifts_ && is_on_time(job);
+    job.on_time = asks_q_ && is_on_time(job);
     charge(job);
     insert(x);
     return true;
@@ -459,7 +460,7 @@ class Walk {
     if (cost == 0) return;
     bool pays = false;
     for_each_started(x, x.ready, [&](const WalkedJob& other) {
-      pays = other.xnode != x.xnode && !(drifts_ && waits_for(x, other));
+      pays = other.xnode != x.xnode && !(asks_q_ && waits_for(x, other));
       return !pays;
     });
     if (!pays) x.work = work_of(x, 0);
@@ -505,7 +506,7 @@ class Walk {
     if (!lines_[at(x.xpu)].blocks) return;
     for_each_started(x, std::max(x.ready, high_), [&](const WalkedJob& other) {
       // What x waits for has a smaller key, or A(x) is at least its F, which counts V(s) too.
-      if (!drifts_ || !waits_for(x, other)) blockers_.push_back({&other, other.work});
+      if (!asks_q_ || !waits_for(x, other)) blockers_.push_back({&other, other.work});
       return true;
     });
   }
@@ -624,7 +625,9 @@ class Walk {
   const Both& both_;
   Ticks hyperperiod_;
   Drift drift_;
-  bool drifts_;
+  /// The walk alone does not show that jobs are in time: where the clock drifts, or an XPU has levels. Then
+  /// q's certificate is asked.
+  bool asks_q_;
   std::vector<std::vector<std::int64_t>> lags_;  ///< [xnode], as asked for
   std::vector<int> components_;
   Ticks step_ = 1, deepest_ = 0, deepest_of_q_ = 0;  ///< the largest keys; of q: D
