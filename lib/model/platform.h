@@ -27,9 +27,7 @@ struct Xpu {
   std::int64_t switch_us = -1;
   /// Nobody suspends its work, but its hardware preempts by as many priority levels: one job runs,
   /// and each of at most levels - 1 others was preempted by the next. A job that is more urgent than
-  /// all of them then waits until the one that runs has ended. validate_on() refuses an app of
-  /// version 2 that may have more jobs there at once: its windows don't count with that wait. 0:
-  /// there is no such limit.
+  /// all of them then waits until the one that runs has ended. 0: there is no such limit.
   int levels = 0;
   /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
   /// xpu/presence.h.

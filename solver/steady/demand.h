@@ -3,7 +3,7 @@
 //
 //   dbf_g(t) = max over the jobs s of domain g on the XPU of the work of its jobs whose windows lie
 //              in [a_s, a_s + t], its own pattern over the hyperperiod
-//   sum over g of dbf_g(t) + max {C_j : d_j - e_j > t} (not preemptive) <= t   at every step t
+//   sum over g of dbf_g(t) + max {C_j : its blocking lasts > t} <= t   at every step t
 //
 // up to the first t by which everything that arrives in [0, t) has been served: a longer interval
 // that fails has a shorter one at its end that fails too. Processor demand: Baruah, Rosier, Howell
@@ -36,7 +36,8 @@ struct Pattern {
 };
 
 struct Blocking {
-  Tick until = 0;  ///< d_j - e_j: it blocks intervals shorter than this
+  Tick until =
+      0;  ///< d_j - its earliest start as the last that may start: it blocks intervals shorter than this
   Tick work = 0;
 };
 

@@ -97,11 +97,11 @@ class Levels {
     for (const Unit& unit : units_)
       for (const int i : unit.xnodes)
         each(i, [&](std::size_t s) {
-          const std::vector<Tick> under = lengths_under(unit, i, s);
-          waits = waits || at(levels_) <= under.size();
-          if (at(levels_) > under.size() + 1) return;
+          const std::vector<Tick> below = lengths_below(unit, i, s);
+          waits = waits || at(levels_) <= below.size();
+          if (at(levels_) > below.size() + 1) return;
           Tick length = w_.d[s] - w_.e[s];
-          if (levels_ > 1) length = std::min(length, under[at(levels_ - 2)]);
+          if (levels_ > 1) length = std::min(length, below[at(levels_ - 2)]);
           last[s] = w_.d[s] - length;
         });
     if (waits) return;
@@ -156,10 +156,9 @@ class Levels {
     unit.starts.pop_back();
   }
 
-  /// How long those are, at most, that a job of i may start above, the longest first: of its unit, whom it may
-  /// start above with the job itself no longer than that; of each other unit, jobs longer than its shortest
-  /// window, one inside the other. An urgent job's d - e is not larger than the ordinary one's.
-  [[nodiscard]] std::vector<Tick> lengths_under(const Unit& own, int i, std::size_t s) const {
+  /// The lengths below a job of i, the longest first (docs/steady-state.md, "Levels"). An urgent job's d - e is
+  /// not larger than the ordinary one's.
+  [[nodiscard]] std::vector<Tick> lengths_below(const Unit& own, int i, std::size_t s) const {
     std::vector<Tick> lengths;
     for (std::size_t depth = 1; depth < own.starts.size(); ++depth)
       if (own.starts[depth][s] < kForever) lengths.push_back(w_.d[s] - own.starts[depth][s]);
