@@ -51,6 +51,10 @@ struct XNodeSpec {
   bool operator==(const XNodeSpec&) const = default;
 };
 
+/// Of a source that states no rate. A release comes when the one before has ended, so two of them never meet: for a
+/// plan that is as good as any time that no release takes.
+inline constexpr Period kNoRate{kMaxPeriodUs};
+
 /// Sources of one clock keep their phases. Sources of different clocks have no phase, and drift.
 struct ClockSpec {
   std::string name;      ///< "main"
@@ -122,6 +126,8 @@ struct AppSpec {
   /// 1: one release of all sources, planned alone. 2: sources that release on and on.
   int version = 1;
   std::string name;
+  /// No source has a rate (each has kNoRate): they release together, and again when all of that has ended.
+  bool one_at_a_time = false;
   std::vector<XNodeSpec> xnodes;
   /// Indices into `xnodes`: first must finish before second starts. The whole precedence relation.
   std::vector<std::pair<int, int>> edges;

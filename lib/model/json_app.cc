@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // app.json, versions 1 and 2.
+#include <optional>
+#include <set>
 #include <unordered_set>
 
 #include "model/components.h"
@@ -103,8 +105,11 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
   for (const ClockSpec& clock : app.clocks)
     if (declared.size() < kMaxNameBytes) declared += (declared.empty() ? "" : ", ") + clock.name;
   root.knows({"sources/*/urgent/by_us", "sources/*/urgent/every_us"});
+  std::optional<std::size_t> without;  // the first that has no rate
   root["sources"].each_element(kMaxSources, [&](std::size_t i, const Reader& s) {
-    SourceSpec source{s["name"].text(), read_period(s)};
+    const bool rate = s.has("rate_hz") || s.has("period_us");
+    if (!rate && !without) without = i;
+    SourceSpec source{s["name"].text(), rate ? read_period(s) : kNoRate};
     if (s.has("offset_us")) source.offset_us = s["offset_us"].time();
     if (s.has("jitter_us")) source.jitter_us = s["jitter_us"].integer(0, kMaxPeriodUs);
     if (s.has("urgent")) {
@@ -126,6 +131,13 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
       }
       source.clock = clock->second;
     }
+    app.one_at_a_time = !rate;
+    if (without && (rate || *without != 0))
+      return s.refuse(
+          "has " + std::string(rate ? "a rate" : "neither \"period_us\" nor \"rate_hz\"") +
+              ", and another source has " + (rate ? "none" : "a rate"),
+          "give every source a rate, or none: then they release together, and again when "
+          "all of that has ended");
     app.sources.push_back(std::move(source));
   });
 }
@@ -166,17 +178,43 @@ void read_edges(const Reader& root, const NameIndex& xnodes, AppSpec& app) {
   });
 }
 
+/// "*": every source, and every last XNode that hears of it. Such an entry has no name, and is of the chains that no
+/// other one says.
 void read_chains(const Reader& root, const NameIndex& sources, const NameIndex& xnodes,
                  AppSpec& app) {
-  if (root.has("chains"))
-    root["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
-      ChainSpec chain{c["name"].text()};
-      chain.from = read_name(c["from"], sources, "source", "\"sources\"");
-      chain.to = read_name(c["to"], xnodes, "XNode", "the app");
-      if (c.has("deadline_us")) chain.deadline_us = c["deadline_us"].integer(1, kMaxTimeUs);
-      if (c.has("weight")) chain.weight = c["weight"].integer(0, kMaxWeight);
+  if (!root.has("chains")) return;
+  std::vector<std::pair<ChainSpec, Reader>> all;
+  root["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
+    const bool any_from = c["from"].text() == "*", any_to = c["to"].text() == "*";
+    ChainSpec chain{any_from || any_to ? std::string() : c["name"].text()};
+    if (!any_from) chain.from = read_name(c["from"], sources, "source", "\"sources\"");
+    if (!any_to) chain.to = read_name(c["to"], xnodes, "XNode", "the app");
+    if (c.has("deadline_us")) chain.deadline_us = c["deadline_us"].integer(1, kMaxTimeUs);
+    if (c.has("weight")) chain.weight = c["weight"].integer(0, kMaxWeight);
+    if (any_from || any_to)
+      all.emplace_back(std::move(chain), c);
+    else
       app.chains.push_back(std::move(chain));
-    });
+  });
+  if (all.empty()) return;
+  std::set<std::pair<int, int>> said;
+  for (const ChainSpec& chain : app.chains) said.insert({chain.from, chain.to});
+  const std::vector<ChainSpec> possible = default_chains(app);
+  for (const auto& [entry, at] : all) {
+    bool any = false;
+    for (const ChainSpec& one : possible) {
+      if ((entry.from >= 0 && entry.from != one.from) || (entry.to >= 0 && entry.to != one.to))
+        continue;
+      any = true;
+      if (!said.insert({one.from, one.to}).second) continue;
+      app.chains.push_back(one);
+      app.chains.back().deadline_us = entry.deadline_us;
+      app.chains.back().weight = entry.weight;
+    }
+    if (!any)
+      at.refuse("nothing is a chain from there to there",
+                "\"*\" as \"to\" is an XNode without successors");
+  }
 }
 
 // ---- writing ------------------------------------------------------------------------------------
@@ -193,7 +231,7 @@ ordered_json periodic_sources_to_json(const AppSpec& app) {
   ordered_json out = ordered_json::array();
   for (const SourceSpec& s : app.sources) {
     ordered_json source = {{"name", s.name}};
-    write_period(s.period, source);
+    if (!app.one_at_a_time) write_period(s.period, source);
     if (s.offset_us != 0) source["offset_us"] = s.offset_us;
     if (s.jitter_us != 0) source["jitter_us"] = s.jitter_us;
     if (s.clock != 0) source["clock"] = app.clocks[static_cast<std::size_t>(s.clock)].name;
@@ -287,6 +325,7 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
   if (periodic) {
     read_edges(root, xnodes, app);
     if (root.has("samples")) app.samples = read_pairs(root["samples"], xnodes, kMaxSamples);
+    XAUTO_TRY(context.status());  // chains of "*" follow what is there
     read_chains(root, sources, xnodes, app);
     XAUTO_TRY(context.status());
     complete_chains(app);

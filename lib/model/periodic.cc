@@ -356,11 +356,45 @@ AppSpec as_version_1(AppSpec app) {
   return app;
 }
 
+namespace {
+
+/// What has no meaning where the next release waits for the end of this one.
+Status validate_one_at_a_time(const AppSpec& app) {
+  const char* hint = "give every source a rate: rate_hz or period_us";
+  for (std::size_t i = 0; i < app.sources.size(); ++i) {
+    const SourceSpec& source = app.sources[i];
+    if (source.period != kNoRate)
+      return invalid(
+          "source " + quoted(source.name) + " has a rate in an app that releases one at a time",
+          nth("sources", i));
+    if (source.offset_us != 0 || source.jitter_us != 0 || source.clock != 0 || source.urgent)
+      return invalid(
+          "source " + quoted(source.name) +
+              " has no rate: it has neither offset nor jitter, clock nor urgent releases",
+          nth("sources", i), hint);
+  }
+  for (std::size_t m = 0; m < app.modules.size(); ++m)
+    if (app.modules[m].max_in_flight != 1)
+      return invalid(
+          "several activations in flight, and no source has a rate: the next release "
+          "waits for the end of this one",
+          nth("modules", m) + "/max_in_flight", hint);
+  if (!app.samples.empty())
+    return invalid(
+        "a sample reads what another release left, and no source has a rate: nobody "
+        "knows how old that is",
+        nth("samples", 0), hint);
+  return {};
+}
+
+}  // namespace
+
 Status validate_periodic(const AppSpec& app) {
   if (app.deadline_us)
     return invalid("version 2 has no deadline of the whole", "/deadline_us",
                    "give the chains deadlines");
   XAUTO_TRY(validate_clocks(app));
+  if (app.one_at_a_time) XAUTO_TRY(validate_one_at_a_time(app));
   const auto pred = app.predecessors();
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     if (pred[i].empty() && app.xnodes[i].sources.empty())

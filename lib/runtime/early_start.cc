@@ -15,7 +15,7 @@ namespace xauto::runtime {
 bool EarlyStart::may_be(const Context& context) {
   const Session& session = context.session;
   return context.scheduled() && session.keys && !session.tables && !session.lockstep &&
-         session.input.empty() && context.plan.processes == 1;
+         !session.app.one_at_a_time && session.input.empty() && context.plan.processes == 1;
 }
 
 Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const Platform& platform,

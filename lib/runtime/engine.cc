@@ -45,6 +45,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
                                                const Session& session, std::atomic<bool>& stop) {
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
   XAUTO_TRY(graph.matches(session.app));
+  if (session.app.one_at_a_time) graph.single_rate = true;  // whatever the program's rates are
   // Releases have the numbers of app.json's grid, also those that are pushed.
   if (session.app.version == 2 && !session.lockstep && session.input.empty())
     for (Graph::Module& module : graph.modules) module.numbered = true;

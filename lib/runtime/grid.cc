@@ -89,7 +89,10 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
 
   const AppSpec& app = session.app;
   const std::string where = "app '" + app.name + "'";
-  if (session.period_us > 0)
+  grid.one_at_a_time = app.one_at_a_time;
+  Period longest;
+  for (const Source& source : grid.sources) longest = std::max(longest, source.period);
+  if (session.period_us > 0 && !app.one_at_a_time)
     return tl::unexpected<Error>(
         refused("would change what the policy was made for", "--period-us",
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
@@ -105,8 +108,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
           refused("app.json has no source '" + graph.sources[s].name + "'", where,
                   "app.json describes another version of this program: profile it again"));
     const SourceSpec& spec = app.sources[static_cast<std::size_t>(spec_of[s])];
-    grid.sources[s] = {spec.period, spec.offset_us * 1000, spec.jitter_us * 1000,
-                       static_cast<std::size_t>(spec.clock),
+    grid.sources[s] = {app.one_at_a_time ? longest : spec.period, spec.offset_us * 1000,
+                       spec.jitter_us * 1000, static_cast<std::size_t>(spec.clock),
                        static_cast<std::uint32_t>(spec_of[s])};
     if (spec.urgent) {
       // Releases are on the grid: so are the distances of those that are urgent.

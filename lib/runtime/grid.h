@@ -37,6 +37,9 @@ struct Grid {
   };
   /// The app is of version 2: its sources, chains and offsets are app.json's.
   bool periodic = false;
+  /// app.json states no rates: all sources release together, and again when all of that has ended, at a distance that
+  /// is the program's longest period at least.
+  bool one_at_a_time = false;
   std::vector<Source> sources;                ///< [source of the graph]
   std::vector<std::int64_t> clock_ppm = {0};  ///< [clock of app.json]
   /// [module][input] of a source's topic: its shift_ns; 0 of other topics.

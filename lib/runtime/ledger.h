@@ -52,6 +52,8 @@ class Ledger {
   /// Several: there is nothing to count by, so until no module has an activation in flight or has
   /// ended one for 100 ms. False: nothing has moved for 10 s. The releasing thread, or `run`'s.
   [[nodiscard]] bool wait_drained(const std::function<bool()>& idle);
+  /// Of the releases of an app of one rate.
+  [[nodiscard]] bool all_ended() const { return in_flight_.load() == 0; }
   /// `wait_drained` has waited in vain, and no job is ended any more: what has no result is counted as such.
   /// `waiting`: [module] messages that wait for those that are hosted here. The thread of `run`.
   void give_up(const std::vector<std::size_t>& waiting);

@@ -55,7 +55,10 @@ Status Releaser::run_here(int fifo) {
         "in lockstep the releases of this app are at least 100 ms apart; what is published "
         "meanwhile waits its turn");
   Status status = detail::call(context_.app.on_start, "on_start", context_.app.name);
-  if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
+  if (status)
+    status = !context_.session.input.empty() ? release_recorded()
+             : context_.grid.one_at_a_time   ? release_one_at_a_time()
+                                             : release_periodic();
   feeds_.reset();
   for (std::string& note : inlets_->close()) notes_.push_back(std::move(note));
   for (std::size_t s = 0; s < seen_.size(); ++s)
@@ -76,15 +79,24 @@ void Releaser::sleep(std::int64_t until_ns) const {
   if (!stop_.load()) sleep_until_ns(until_ns);
 }
 
-Status Releaser::drain_for_lockstep() {
-  if (!context_.session.lockstep || wait_drained()) return {};
-  return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
+/// The next release does not come before the last one has ended.
+bool Releaser::waits_for_the_last() const {
+  return context_.session.lockstep || context_.grid.one_at_a_time;
+}
+
+Status Releaser::drain() {
+  if (!waits_for_the_last() || wait_drained()) return {};
+  return fail(ErrorCode::kTimeout,
+              context_.session.lockstep
+                  ? "no progress for 10 s in lockstep"
+                  : "no progress for 10 s, and no source has a rate: the next release "
+                    "waits for the end of the last one",
               "app '" + context_.app.name + "'");
 }
 
 /// A run by keys takes what is pushed, or fed, for releases of a grid.
 bool Releaser::tracks() const {
-  return context_.grid.periodic && !context_.session.lockstep && context_.session.input.empty();
+  return context_.grid.periodic && !waits_for_the_last() && context_.session.input.empty();
 }
 
 /// The source of `topic` releases when it likes to, and we follow.
@@ -170,7 +182,7 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
       inlets_->wait(seen, std::min(until_ns, next_overdue_ns()));
       continue;
     }
-    XAUTO_TRY(drain_for_lockstep());
+    XAUTO_TRY(drain());
     const int t = context_.graph.topic_of_source[pushed->source];
     if (tracks()) {
       XAUTO_ASSIGN(const bool released, release_tracked(t, pushed->waiting));
@@ -288,6 +300,22 @@ std::int64_t Releaser::run_length_ns(std::int64_t slowest_period_ns) const {
   return static_cast<std::int64_t>(count) * slowest_period_ns;
 }
 
+/// By the program's own function.
+Result<std::shared_ptr<const void>> Releaser::make_message(std::size_t source, std::size_t topic,
+                                                           std::uint64_t number,
+                                                           std::int64_t since_ns) {
+  const auto& spec = context_.app.sources[source];
+  std::shared_ptr<const void> message;
+  try {
+    message = spec.make(number, wiring_.publisher(topic));
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
+                "the source of topic '" + spec.topic.name + "'");
+  }
+  seen_[source].made_late_ns = std::max(seen_[source].made_late_ns, now_ns() - since_ns);
+  return message;
+}
+
 /// Every source at its period, on one absolute time grid, so that sources of equal period release
 /// at the same instants and nothing drifts. Beside what is pushed on the same clock: on its grid,
 /// which nobody knows before the first message.
@@ -355,7 +383,7 @@ Status Releaser::release_periodic() {
         XAUTO_ASSIGN(const bool goes_on, release_pushed(now_ns(), true));
         if (!goes_on) break;
       }
-      XAUTO_TRY(drain_for_lockstep());
+      XAUTO_TRY(drain());
       // Now, whatever the period: the time grid moves along.
       const std::int64_t now = now_ns();
       start += now - due;
@@ -373,17 +401,9 @@ Status Releaser::release_periodic() {
       }
       const auto source =
           static_cast<std::size_t>(context_.graph.topics[static_cast<std::size_t>(s.topic)].source);
-      const auto& spec = context_.app.sources[source];
-      std::shared_ptr<const void> message;
-      const std::int64_t since_ns = std::max(due, now_ns());
-      try {
-        message = spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic)));
-      } catch (const std::exception& e) {
-        return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
-                    "the source of topic '" + spec.topic.name + "'");
-      }
+      XAUTO_ASSIGN(auto message, make_message(source, static_cast<std::size_t>(s.topic), s.sequence,
+                                              std::max(due, now_ns())));
       Seen& seen = seen_[source];
-      seen.made_late_ns = std::max(seen.made_late_ns, now_ns() - since_ns);
       XAUTO_ASSIGN(const bool says, marked(seen, source, message.get(), s.sequence));
       const bool is_urgent = says && urgent(seen, source, s.sequence);
       samples.push_back(
@@ -407,6 +427,98 @@ Status Releaser::release_periodic() {
     release(now_ns(), samples);
     samples.clear();  // the messages belong to who reads them
   }
+  return {};
+}
+
+/// A message of each source that releases by itself, or is fed. False: the run is over.
+Result<bool> Releaser::gather_pushed(std::vector<Sample>& samples, std::uint64_t number,
+                                     std::int64_t end_ns) {
+  std::vector<int> fed;
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    const int source = context_.graph.topics[t].source;
+    if (source < 0) continue;
+    detail::Inlet* inlet = context_.app.sources[static_cast<std::size_t>(source)].inlet.get();
+    if (inlet == nullptr) {
+      if (wiring_.interop() != nullptr && wiring_.interop()->feeds(t))
+        fed.push_back(static_cast<int>(t));
+      continue;
+    }
+    for (;;) {
+      const std::uint32_t seen = inlets_->pushes();
+      if (auto waiting = inlet->take()) {
+        samples.push_back({static_cast<int>(t), number, std::move(waiting->message), 0});
+        samples.back().stamp_ns = waiting->at_ns;
+        break;
+      }
+      if (stop_.load() || now_ns() >= end_ns) return false;
+      inlets_->wait(seen, end_ns);
+    }
+  }
+  if (fed.empty()) return true;
+  auto taken = wiring_.interop()->take(fed, end_ns, stop_);
+  for (std::size_t i = 0; i < fed.size(); ++i) {
+    samples.push_back({fed[i], number, std::move(taken.messages[i].message), 0});
+    samples.back().stamp_ns = taken.messages[i].origin_ns;
+    if (samples.back().message == nullptr) return false;  // it ended before one came
+  }
+  return true;
+}
+
+/// No source has a rate: all release at one instant, once each has a message and the last release has ended. What we
+/// ask for messages keeps the program's longest period at least, unless it is in lockstep.
+Status Releaser::release_one_at_a_time() {
+  const Session& session = context_.session;
+  std::vector<std::size_t> polled;  // topics
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t)
+    if (const int source = context_.graph.topics[t].source;
+        source >= 0 && context_.app.sources[static_cast<std::size_t>(source)].inlet == nullptr &&
+        (wiring_.interop() == nullptr || !wiring_.interop()->feeds(t)))
+      polled.push_back(t);
+  seen_.resize(context_.graph.sources.size());
+  const std::int64_t period_ns =
+      context_.grid.sources.empty() ? 0 : context_.grid.sources.front().period_ns();
+  const std::int64_t start = now_ns() + 20'000'000;
+  const std::int64_t end =
+      session.duration_us > 0 ? start + session.duration_us * 1000 : kForeverNs;
+  std::int64_t due = start, longest_wait_ns = 0;
+  std::uint64_t waited = 0, number = 0;
+  std::vector<Sample> samples;
+  for (; !stop_.load() &&
+         (session.activations == 0 || session.duration_us > 0 || number < session.activations);
+       ++number) {
+    if (session.lockstep) XAUTO_TRY(drain());
+    samples.clear();
+    // Messages are made before their release, so that making them does not count as latency.
+    for (const std::size_t t : polled) {
+      const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
+      XAUTO_ASSIGN(auto message, make_message(source, t, number, std::max(due, now_ns())));
+      samples.push_back({static_cast<int>(t), number, std::move(message), 0});
+    }
+    if (!session.lockstep && !polled.empty()) sleep(std::min(due, end));
+    XAUTO_ASSIGN(const bool all, gather_pushed(samples, number, end));
+    if (!all || stop_.load() || std::max(due, now_ns()) >= end) break;
+    std::int64_t there_ns = polled.empty() ? 0 : due;
+    for (const Sample& sample : samples) there_ns = std::max(there_ns, sample.stamp_ns);
+    const bool free = !session.lockstep && ledger_.all_ended();
+    XAUTO_TRY(drain());
+    const std::int64_t now = now_ns();
+    if (!session.lockstep && !free) {
+      ++waited;
+      longest_wait_ns = std::max(longest_wait_ns, now - there_ns);
+    }
+    for (Sample& sample : samples) {
+      sample.nominal_ns = now;
+      sample.stamp_ns = 0;
+    }
+    release(now, samples);
+    due = session.lockstep ? now : std::max(due + period_ns, now);
+  }
+  if (waited > 0)
+    notes_.push_back(
+        fmt::format("{} of {} releases waited for the end of the one before, up to {:.2f} ms: "
+                    "app.json states no "
+                    "rates, so none meets another; a release's time begins when it is let in",
+                    waited, number, static_cast<double>(longest_wait_ns) * 1e-6));
   return {};
 }
 
@@ -768,10 +880,8 @@ Status Releaser::release_recorded() {
       at_ns += distance_ns(last_stamp, message->timestamp_ns);
     last_stamp = message->timestamp_ns;
     if (context_.session.duration_us > 0 && at_ns >= context_.session.duration_us * 1000) break;
-    if (context_.session.lockstep)
-      XAUTO_TRY(drain_for_lockstep());
-    else
-      sleep(start + at_ns);
+    if (!context_.session.lockstep) sleep(start + at_ns);
+    XAUTO_TRY(drain());
     if (stop_.load()) break;
     release(now_ns(), batch);
     batch.clear();

@@ -86,7 +86,15 @@ class Releaser {
                                     std::uint64_t number) const;
   [[nodiscard]] bool urgent(Seen& seen, std::size_t source, std::uint64_t number);
   void sleep(std::int64_t until_ns) const;
-  [[nodiscard]] Status drain_for_lockstep();
+  [[nodiscard]] bool waits_for_the_last() const;
+  [[nodiscard]] Status drain();
+  [[nodiscard]] Result<std::shared_ptr<const void>> make_message(std::size_t source,
+                                                                 std::size_t topic,
+                                                                 std::uint64_t number,
+                                                                 std::int64_t since_ns);
+  [[nodiscard]] Result<bool> gather_pushed(std::vector<Sample>& samples, std::uint64_t number,
+                                           std::int64_t end_ns);
+  [[nodiscard]] Status release_one_at_a_time();
   [[nodiscard]] Status release_recorded();
   [[nodiscard]] std::int64_t distance_ns(std::int64_t from_ns, std::int64_t to_ns);
   std::int64_t take_fed(std::vector<Sample> fed, std::int64_t due_ns, std::vector<Sample>& samples);

@@ -2,6 +2,9 @@
 #include "solver/steady/one_release.h"
 
 #include <algorithm>
+#include <map>
+#include <numeric>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -75,30 +78,75 @@ Part behind(const AppSpec& app, const Problem& p, int to, const Objectives& wish
   return part_of(app, wishes, keep);
 }
 
+/// On each XPU one after the other, as they start in the plan; each ends when its longest way is over.
+void put_in_sequence(const Problem& p, KeyPolicy& policy, const Policy& plan) {
+  std::vector<int> all(plan.placements.size());
+  std::iota(all.begin(), all.end(), 0);
+  std::stable_sort(all.begin(), all.end(), [&](int a, int b) {
+    const Placement &one = plan.placements[at(a)], &other = plan.placements[at(b)];
+    return std::tie(one.start_us, one.finish_us) < std::tie(other.start_us, other.finish_us);
+  });
+  std::map<int, int> last_on;
+  for (const int i : all) {
+    const int xpu = plan.placements[at(i)].xpu;
+    Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+    const auto end_of = [&](int j) { return policy.placements[at(j)].key_us.front() * p.scale; };
+    for (const EdgeEnd& link : p.pred[at(i)])
+      ready = std::max(
+          ready, end_of(link.xnode) + p.transfer(link, plan.placements[at(link.xnode)].xpu, xpu));
+    if (const auto [last, first] = last_on.emplace(xpu, i); !first) {
+      policy.order.emplace_back(last->second, i);
+      ready = std::max(ready, end_of(last->second));
+      last->second = i;
+    }
+    policy.placements[at(i)].key_us = {p.up_to_us(ready + p.wcet(i, xpu)) / p.scale};
+  }
+}
+
+/// Who ends last of all is then the end of a chain, which hears of it directly; and no source of one is later than
+/// its component.
+bool every_end_is_a_chain(const Problem& p) {
+  std::vector<char> ends(at(p.num_xnodes), 0);
+  for (const Chain& chain : p.chains)
+    if (chain.offset == p.components[at(p.component_of[at(chain.to)])].phase &&
+        std::any_of(chain.paths.begin(), chain.paths.end(),
+                    [](const Path& path) { return path.samples.empty(); }))
+      ends[at(chain.to)] = 1;
+  for (int i = 0; i < p.num_xnodes; ++i)
+    if (p.succ[at(i)].empty() && ends[at(i)] == 0) return false;
+  return true;
+}
+
 }  // namespace
 
-std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app, const Platform& platform,
-                                             const Problem& p, SolveOptions options) {
+Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& platform,
+                                        const Problem& p, SolveOptions options) {
   for (std::size_t c = 1; c < p.components.size(); ++c)
-    if (!p.released_together(0, static_cast<int>(c))) return {};
+    if (!p.released_together(0, static_cast<int>(c)))
+      return fail(ErrorCode::kUnavailable, "its XNodes are not all released together", app.name);
   Part whole = part_of(app, options.objectives, std::vector<char>(app.xnodes.size(), 1));
-  add_deadlines(app, p, whole.wishes);
+  // The baselines have no order of their own, and know of no chains.
+  const bool keeps_order = options.method == "auto" || options.method == "search";
+  if (keeps_order) add_deadlines(app, p, whole.wishes);
   options.objectives = std::move(whole.wishes);
-  options.certify = true;
-  const Result<Policy> plan = solver::solve(whole.app, platform, options);
-  if (!plan) return {};
+  options.certify = keeps_order;
+  XAUTO_ASSIGN(const Policy plan, solver::solve(whole.app, platform, options));
   // Nobody hears before the latest of the roots.
   const Tick late =
       p.up_to_us(*std::max_element(p.root_ready.begin(), p.root_ready.end())) / p.scale;
-  KeyPolicy policy;
+  ReleasePlan found;
+  KeyPolicy& policy = found.policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.platform = platform.name;
-  policy.method = "auto";
-  policy.order = plan->order;
-  for (const Placement& placed : plan->placements)
+  policy.method = plan.method;
+  policy.order = plan.order;
+  for (const Placement& placed : plan.placements)
     policy.placements.push_back({placed.xpu, {placed.finish_us + late}});
-  return policy;
+  if (!keeps_order) put_in_sequence(p, policy, plan);
+  const Tick first = *std::min_element(p.root_ready.begin(), p.root_ready.end());
+  if (every_end_is_a_chain(p)) found.bound = first + plan.lower_bound_us * p.scale;
+  return found;
 }
 
 Tick quick_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,

@@ -4,8 +4,6 @@
 // "Order"). Where releases do not meet its worst case is that policy's.
 #pragma once
 
-#include <optional>
-
 #include "model/key_policy.h"
 #include "solver/objectives.h"
 #include "solver/solve.h"
@@ -14,11 +12,16 @@
 
 namespace xauto::solver::steady {
 
-/// No claims and no bounds are in it: whoever takes it certifies it. Nothing where XNodes are not all released together,
-/// or no plan is found in time. `p`: of this app, without order. Of the options' objectives pins, forbids and groups count.
-[[nodiscard]] std::optional<KeyPolicy> plan_of_one_release(const AppSpec& app,
-                                                           const Platform& platform,
-                                                           const Problem& p, SolveOptions options);
+struct ReleasePlan {
+  KeyPolicy policy;
+  /// Of the latest end of any chain, proven: no policy of keys has it earlier. 0: not known.
+  Tick bound = 0;
+};
+
+/// No claims are in it: whoever takes it certifies it. kUnavailable: XNodes are not all released together. Else
+/// as solver::solve. `p`: of this app, without order. Of the options' objectives pins, forbids and groups count.
+[[nodiscard]] Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& platform,
+                                                      const Problem& p, SolveOptions options);
 
 /// As one_release_bound, by what takes microseconds.
 [[nodiscard]] Tick quick_release_bound(const AppSpec& app, const Platform& platform,

@@ -189,6 +189,7 @@ class Play {
   PlayReport go() {
     const Atoms end = options_.seconds * kMillion * kMillion * w_.scale;
     for (std::size_t c = 0; c < w_.components.size(); ++c) release(static_cast<int>(c), 0);
+    if (w_.app.one_at_a_time) began_.push_back(0);
     while (!events_.empty() && events_.top().when <= end && !report_.backlog) {
       now_ = events_.top().when;
       while (!events_.empty() && events_.top().when == now_) {
@@ -202,6 +203,12 @@ class Play {
           look_at(e.index, e.activation);
         else
           begin(e.index, e.activation);
+      }
+      if (w_.app.one_at_a_time && unfinished_ == 0) {
+        for (std::size_t c = 0; c < w_.components.size(); ++c)
+          release(static_cast<int>(c), static_cast<std::int64_t>(began_.size()));
+        began_.push_back(now_);
+        continue;
       }
       look_early();
       for (std::size_t m = 0; m < devices_.size(); ++m)
@@ -307,8 +314,9 @@ class Play {
 
   void release(int component, std::int64_t n) {
     const Component& c = w_.components[at(component)];
-    events_.push(
-        {clocks_[at(c.clock)].real(c.phi + n * c.period), Kind::kReleases, component, n, 0});
+    const Atoms when =
+        w_.app.one_at_a_time ? now_ : clocks_[at(c.clock)].real(c.phi + n * c.period);
+    events_.push({when, Kind::kReleases, component, n, 0});
   }
 
   /// The nominal release of activation n: its jobs wait for messages, holds and each other.
@@ -334,9 +342,11 @@ class Play {
         const Atoms jitter =
             options_.jitter && source.jitter_us > 0 ? some(atoms(source.jitter_us), true) : 0;
         ++job.waits;
-        events_.push(
-            {clocks_[at(c.clock)].real(source.offset_us * w_.scale + n * c.period) + jitter,
-             Kind::kArrives, i, n, 0});
+        const Atoms due =
+            w_.app.one_at_a_time
+                ? now_
+                : clocks_[at(c.clock)].real(source.offset_us * w_.scale + n * c.period);
+        events_.push({due + jitter, Kind::kArrives, i, n, 0});
       }
       if (const auto& planned = (urgent ? planned_us_.urgent : planned_us_.ordinary)[at(i)];
           !planned.empty()) {
@@ -348,7 +358,7 @@ class Play {
     }
     unfinished_ += static_cast<std::int64_t>(c.xnodes.size());
     report_.backlog = unfinished_ > kMaxUnfinished;
-    release(component, n + 1);
+    if (!w_.app.one_at_a_time) release(component, n + 1);
   }
 
   Job& job(int xnode, std::int64_t n) {
@@ -402,6 +412,8 @@ class Play {
 
   /// docs/steady-state.md, "Early start".
   [[nodiscard]] bool may_start_early(int xnode, const Job& j) const {
+    if (w_.app.one_at_a_time)
+      return false;  // as in a run: when the next release comes nobody knows
     const auto m = at(w_.policy.placements[at(xnode)].xpu);
     const Xpu& xpu = w_.platform.xpus[m];
     if (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0)
@@ -472,11 +484,12 @@ class Play {
       if (!path.known.empty()) knows = known(path.known.back(), e.activation);
       if (knows < 0) continue;
       // The oldest of those that come through now has waited longest.
-      if (path.last >= 0 && knows > path.last) {
+      if ((path.last >= 0 || w_.app.one_at_a_time) && knows > path.last) {
         const SourceSpec& source = w_.app.sources[at(w_.app.chains[path.chain].from)];
         const Ticks period = source.period.num * (w_.scale / source.period.den);
         PlayedChain& chain = report_.chains[path.chain];
         const auto since = [&](std::int64_t k) {
+          if (w_.app.one_at_a_time) return us(now_ - began_[static_cast<std::size_t>(k)]);
           return us(now_ -
                     clocks_[at(source.clock)].real(source.offset_us * w_.scale + k * period));
         };
@@ -568,8 +581,9 @@ class Play {
   PlannedStarts planned_us_;
   std::vector<std::vector<int>> sampled_;  ///< [xnode] what it reads
   std::vector<std::pair<std::int64_t, Atoms>>
-      released_;        ///< [component] the last release, and when
-  bool ended_ = false;  ///< a job, since the last look_early()
+      released_;              ///< [component] the last release, and when
+  std::vector<Atoms> began_;  ///< [release] when, of an app that releases one at a time
+  bool ended_ = false;        ///< a job, since the last look_early()
   Atoms now_ = 0;
   std::int64_t unfinished_ = 0;
   PlayReport report_;

@@ -37,7 +37,15 @@ constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
 /// For the plan of one release: a part of the limit, and at most so many seconds; then for the search of keys around
 /// it, and for a proof that they are the best. Of a budget so many evaluations of the plan are one of keys.
 constexpr double kForPlan = 0.3, kForPlanS = 5, kForPlans = 0.1, kForProof = 0.2;
+/// Where one release is all there is: for its plan, and for the search around it so many seconds at most.
+constexpr double kForOnlyPlan = 0.7, kAroundOnlyPlanS = 0.3;
 constexpr std::int64_t kPlansOfEvaluation = 100;
+constexpr double kRounding = 1 + 1e-12;
+
+SteadyTime later(SteadyTime from, double seconds) {
+  return from +
+         std::chrono::duration_cast<SteadyTime::duration>(std::chrono::duration<double>(seconds));
+}
 
 /// Rounded up: what is claimed may be larger, never smaller.
 std::int64_t us_above(const Problem& p, Tick t) {
@@ -146,12 +154,17 @@ struct Seed {
   Problem problem;
   KeyPolicy policy;
 };
+struct Seeds {
+  std::vector<Seed> seeds;
+  double largest = 0;  ///< of all chains no policy has less, as Figures::largest; 0: not known
+};
 
 /// The plan of one release, where that is all there is, and a hint with order.
-std::vector<Seed> seeds_of(const AppSpec& app, const Platform& platform, const Problem& p,
-                           const Options& options, double limit_s) {
-  std::vector<Seed> seeds;
-  if (!options.order) return seeds;
+Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Problem& p,
+                       const Options& options, double limit_s) {
+  Seeds found;
+  std::vector<Seed>& seeds = found.seeds;
+  if (!options.order) return found;
   const auto add = [&](const KeyPolicy& policy) {
     Result<Problem> with = Problem::create(app, platform, options.wishes, policy.order);
     if (with) seeds.push_back({std::move(*with), policy});
@@ -159,9 +172,11 @@ std::vector<Seed> seeds_of(const AppSpec& app, const Platform& platform, const P
   const KeyPolicy* hint = options.hint;
   if (hint != nullptr && !hint->order.empty() && check_hint(*hint, Keep::kPlacement, app, p))
     add(*hint);
-  if (options.keep != Keep::kNothing) return seeds;
+  if (options.keep != Keep::kNothing) return found;
   SolveOptions asked;
-  asked.time_limit_s = std::min(kForPlan * limit_s, kForPlanS);
+  asked.method = options.method;
+  asked.time_limit_s =
+      app.one_at_a_time ? kForOnlyPlan * limit_s : std::min(kForPlan * limit_s, kForPlanS);
   asked.threads = options.threads;
   asked.seed = options.seed;
   asked.stop = options.stop;
@@ -170,8 +185,16 @@ std::vector<Seed> seeds_of(const AppSpec& app, const Platform& platform, const P
     asked.max_evaluations = options.max_evaluations * kPlansOfEvaluation;
     asked.time_limit_s = limit_s;
   }
-  if (const auto plan = plan_of_one_release(app, platform, p, std::move(asked))) add(*plan);
-  return seeds;
+  const Result<ReleasePlan> plan = plan_of_one_release(app, platform, p, std::move(asked));
+  if (!plan && options.method != "auto") return tl::unexpected<Error>(plan.error());
+  if (plan) {
+    add(plan->policy);
+    const bool alike = std::all_of(p.chains.begin(), p.chains.end(),
+                                   [&](const Chain& c) { return c.by == p.chains.front().by; });
+    if (alike)
+      found.largest = static_cast<double>(plan->bound) / static_cast<double>(p.chains.front().by);
+  }
+  return found;
 }
 
 bool at_bounds(const Problem& p, const Candidate& c, const std::vector<Tick>& bounds) {
@@ -270,6 +293,10 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     answer.overload = std::move(*proof);
     return answer;
   }
+  if (options.method != "auto" && !app.one_at_a_time)
+    return fail(ErrorCode::kInvalid,
+                "plans one release, and the sources of '" + app.name + "' have rates",
+                "method " + options.method, "leave it out");
   const double limit = std::clamp(options.time_limit_s, 0.0, kNoLimitS);
   const Until until{began + std::chrono::duration_cast<SteadyTime::duration>(
                                 std::chrono::duration<double>(limit)),
@@ -303,12 +330,16 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
         std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
 
   // First the plans of one release, each with its order; then what has none.
-  const std::vector<Seed> seeds = seeds_of(app, platform, p, options, limit);
+  XAUTO_ASSIGN(const Seeds begins, seeds_of(app, platform, p, options, limit));
+  const auto& [seeds, least_of_all] = begins;
   Round round{options, elapsed};
   std::optional<Incumbents> planned;
   const Seed* seed = nullptr;
   for (const Seed& one : seeds) {
-    const Until brief = part_of(for_search, kForPlans);
+    Until brief = part_of(for_search, kForPlans);
+    if (app.one_at_a_time && limit < kNoLimitS)
+      brief.deadline =
+          std::min(brief.deadline, later(std::chrono::steady_clock::now(), kAroundOnlyPlanS));
     const std::int64_t budget =
         options.max_evaluations == 0
             ? 0
@@ -321,15 +352,31 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     planned = std::move(with);
     seed = &one;
   }
+  if (options.method != "auto" && !planned) return answer;  // nobody asked for another plan
   // What is proven meanwhile may end it, and does nothing else: a proof's time depends on the machine.
   std::vector<Tick> bounds = reference;
   const auto prove = [&](const Until& in) {
     const std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, in);
     for (std::size_t c = 0; c < finer.size(); ++c) bounds[c] = std::max(bounds[c], finer[c]);
   };
-  if (planned && limit < kNoLimitS) prove(part_of(for_search, kForProof));
+  // Of a release that is alone nothing is left to look for where its plan is the shortest.
+  const bool shortest =
+      planned && app.one_at_a_time && options.aim == Aim::kLargest &&
+      (planned->best().figures.largest <= least_of_all * kRounding || options.method != "auto");
+  if (planned && !shortest && limit < kNoLimitS) prove(part_of(for_search, kForProof));
   Incumbents found(p, reference, options.aim);
-  if (planned && options.keep == Keep::kNothing && at_bounds(p, planned->best(), bounds)) {
+  if (shortest) {
+    // It may be as short with less for the other chains.
+    found = *planned;
+    if (options.method == "auto" && limit < kNoLimitS) {
+      const Until around{
+          later(std::chrono::steady_clock::now(), std::min(kAroundOnlyPlanS, kForPlans * limit)),
+          options.stop};
+      Incumbents free = round.search(p, reference, &seed->policy, Keep::kNothing,
+                                     {around, to_finish, options.max_evaluations, around, {}});
+      if (free.any() && found.add(free.best())) seed = nullptr;
+    }
+  } else if (planned && options.keep == Keep::kNothing && at_bounds(p, planned->best(), bounds)) {
     found = *planned;
   } else {
     found = round.search(p, reference, options.hint, options.keep,
@@ -354,6 +401,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     drop_holds(of, best.decision.xpu, best.figures.w, for_holds);
   }
   // What is left of the time makes the bounds better.
+  if (shortest && limit < kNoLimitS) for_finer = part_of(for_finer, kForPlans);
   if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(for_finer);
   for (std::size_t c = 0; c < bounds.size(); ++c) answer.lower_bound_us[c] = us_above(p, bounds[c]);
   const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);
@@ -362,6 +410,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
        options.aim == Aim::kLargest ? std::array{false, true} : std::array{true, false})
     (sum ? answer.bounds.sum : answer.bounds.largest) =
         objective_bound(p, bounds, sum, kMostCasesOfAll, for_finer) / unit;
+  answer.bounds.largest = std::max(answer.bounds.largest, least_of_all / unit);
   if (!found.any()) {
     if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
       answer.outcome = Outcome::kUnsustainable;
@@ -375,7 +424,10 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
       p.domains.size() == 1 && !p.any_urgent &&
       predict(of, best.decision.xpu, best.figures.w, best.figures.schedule, to_finish);
   answer.policy = policy_of(app, platform, of, best, predicted, answer.lower_bound_us);
-  if (seed != nullptr) answer.policy.order = seed->policy.order;
+  if (seed != nullptr) {
+    answer.policy.order = seed->policy.order;
+    answer.policy.method = seed->policy.method;
+  }
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
   answer.totals = totals_of(app, chain_us);

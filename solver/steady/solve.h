@@ -16,6 +16,11 @@
 
 namespace xauto::solver::steady {
 
+/// What is minimised unless somebody asks otherwise: of an app that releases one at a time how long all of it takes.
+[[nodiscard]] inline Aim usual_aim(const AppSpec& app) {
+  return app.one_at_a_time ? Aim::kLargest : Aim::kMix;
+}
+
 struct Progress {
   double elapsed_s = 0;
   double late = 0;  ///< largest worst case / deadline; 0: no chain has a deadline
@@ -33,7 +38,10 @@ struct Options {
   std::int64_t max_evaluations = 0;
   const std::atomic<bool>* stop = nullptr;
   std::function<void(const Progress&)>
-      on_progress;    ///< each improvement, from any thread, one at a time
+      on_progress;  ///< each improvement, from any thread, one at a time
+  /// Of an app that releases one at a time also "search", "ilp", "heft" and "local" (solver/solve.h): who plans the
+  /// release. The keys of such a plan are its ends, and its order stays.
+  std::string method = "auto";
   Objectives wishes;  ///< pins, forbids and groups
   bool order = true;  ///< policies may have KeyPolicy::order; tables have no place for it
   /// Where to begin; proven again before it is certified. May be of an earlier version of the app:

@@ -218,9 +218,6 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
 /// Of version 2.
 Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options& options) {
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  if (flags.options.method != "auto")
-    return fail(ErrorCode::kInvalid, "has one method, auto", "an app of version 2",
-                "leave --method out");
   if (flags.wishes.deadline_us > 0)
     return fail(ErrorCode::kInvalid, "is for an app of version 1, one release", "--deadline-us",
                 "give the chains of app.json deadlines");
@@ -244,6 +241,8 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
     return fail(ErrorCode::kInvalid, "keeps what a policy says", "--keep",
                 "name the policy: --hint policy.json");
   if (flags.keep) asked.keep = solver::steady::Keep::kMost;
+  asked.method = flags.options.method;
+  asked.aim = solver::steady::usual_aim(app);
   if (flags.objective == "largest") asked.aim = solver::steady::Aim::kLargest;
   if (flags.objective == "sum") asked.aim = solver::steady::Aim::kSum;
   asked.stop = &interrupted;
