@@ -111,19 +111,19 @@ class Bench:
                      "--activations", activations, "--out", out, "--", self.bin / "bin/driving")
             reports.append(json.loads((out / "report.json").read_text())["runs"])
         self.section("The Driving Case", "emulated", f"{runs} runs of {activations} activations a policy; end-to-end latency in ms, the medians "
-                     "over the runs, in brackets the least and the greatest. `simulated` is a model figure. The stage times are a "
+                     "over the runs, in brackets the least and the greatest. The stage times are a "
                      f"reconstruction ([how]({os.path.relpath(ROOT / 'docs/driving-case.md', self.out)})).")
         rows, bars = [], []
         for policy in zip(*reports):
             def over(key):
                 values = [r[key] / 1000 for r in policy]
                 return statistics.median(values), min(values), max(values)
-            cells = [policy[0]["policy"], f"{policy[0]['predicted_us'] / 1000:.2f}"]
+            cells = [policy[0]["policy"]]
             cells += ["{:.2f} ({:.2f}–{:.2f})".format(*over(k)) for k in ("p50_us", "p99_us", "max_us")]
             cells.append(sum(r["lost_activations"] for r in policy))
             rows.append(cells)
             bars.append((policy[0]["policy"], *over("p99_us")))
-        self.table(["policy", "simulated", "p50", "p99", "max", "lost"], rows)
+        self.table(["policy", "p50", "p99", "max", "lost"], rows)
         self.plot("driving.svg", "Driving Case, emulated: p99 of the end-to-end latency", "ms", bars)
 
     def runtime(self):

@@ -96,7 +96,7 @@ solve() {
   "$tool" check --app $driving/steady.json --platform small --policy "$out/here.json"
   build/bin/xauto check --app $driving/steady.json --platform small --policy "$out/there.json"
 }
-figures() { grep -oE '"(latency|worst_case|lower_bound)_us": *[0-9]+' | tr -d ' ' | tr '\n' ' '; }
+figures() { grep -oE '"(release|worst_case|lower_bound)_us": *[0-9]+' | tr -d ' ' | tr '\n' ' '; }
 demo() {
   "$tool" compare --app examples/driving/app.json --platform small --overload queue:8 --activations 20 --out "$out/demo" -- "$tree/apps/driving"
   [ -s "$out/demo/timeline.html" ]

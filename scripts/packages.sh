@@ -69,7 +69,7 @@ cp examples/driving/app.json "$root/tmp/app.json"
 found() { # APP TOOL...
   local app=$1
   shift
-  "$@" solve --app "$app" --platform small --method heft --json | sed -n 's/.*"latency_us": *\([0-9]*\).*/\1/p'
+  "$@" solve --app "$app" --platform small --method heft --json | sed -n 's/.*"release_us": *\([0-9]*\).*/\1/p'
 }
 emulated=$(found /tmp/app.json chroot "$root" "qemu-${triplet%%-*}-static" /src/debian/xauto-tools/usr/libexec/xauto/xauto)
 here=$(found examples/driving/app.json build/bin/xauto)

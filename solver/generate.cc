@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "base/index.h"
+#include "model/periodic.h"
 #include "solver/random.h"
 
 namespace xauto::solver {
@@ -236,6 +237,13 @@ Result<AppSpec> generate(const GenerateOptions& options) {
     if (options.nodes > 1) app.edges = shape.edges();
     Random times(seeds.next());
     draw_times(options, times, indices, app);
+    app.one_at_a_time = true;
+    app.sources = {{"release", kNoRate}};
+    const auto before = app.predecessors();
+    for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+      if (before[i].empty()) app.xnodes[i].sources = {0};
+    complete_modules(app);
+    complete_chains(app);
     return app;
   }
   return fail(ErrorCode::kInfeasible,

@@ -7,7 +7,7 @@
 namespace xauto::solver {
 
 Result<Problem> Problem::create(const AppSpec& app, const Platform& platform) {
-  XAUTO_TRY(validate(app));
+  XAUTO_TRY(validate_graph(app));
   XAUTO_TRY(validate(platform));
   XAUTO_TRY(validate_on(app, platform));
   Problem p;

@@ -158,7 +158,6 @@ Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& 
 
 Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOptions& options) {
   const auto began = std::chrono::steady_clock::now();
-  XAUTO_TRY(validate_one_rate(app));
   XAUTO_ASSIGN(Problem problem, Problem::create(app, platform));
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
   const bool searches = method_searches(options.method);

@@ -483,11 +483,10 @@ class TablesSearch {
   }
 
   void add_changes(const TableChoice& choice, Tables& tables) const {
-    const auto period = one_period_us(app_);
     for (std::size_t s = 0; s < scenarios_.size(); ++s)
       for (std::size_t t = 0; t < scenarios_.size(); ++t) {
         if (s == t) continue;
-        Change change{static_cast<int>(s), static_cast<int>(t), {}, {}};
+        Change change{static_cast<int>(s), static_cast<int>(t), {}};
         const TableCandidate& plan = candidates_[at(choice.serves[s])];
         if (runs(plan, t)) {
           Problem both = problem(plan, s);
@@ -496,7 +495,6 @@ class TablesSearch {
           OrderedEvaluator evaluator(both);
           evaluator.reset(plan.xpu, plan.sequence);
           change.worst_case_us = evaluator.makespan();
-          if (period) change.delay_us = std::max<Time>(0, evaluator.makespan() - *period);
         }
         tables.changes.push_back(change);
       }
@@ -522,17 +520,14 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
                             const Scenarios& scenarios, const TablesOptions& options) {
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
-  XAUTO_TRY(validate_one_rate(app));
   XAUTO_TRY(validate(scenarios, app, platform));
-  if (app.version == 2) return steady::solve_key_tables(app, platform, scenarios, options);
+  if (!app.one_at_a_time) return steady::solve_key_tables(app, platform, scenarios, options);
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
     if (scenarios.list[s].degraded && !time_for_a_release(app))
-      return fail(
-          ErrorCode::kInvalid,
-          "the app states neither a deadline nor one period: nothing says for what it would "
-          "lose anything",
-          "/scenarios/" + std::to_string(s) + "/degraded",
-          "give app.json deadline_us, or leave degraded out");
+      return fail(ErrorCode::kInvalid,
+                  "the app states no deadline: nothing says for what it would lose anything",
+                  "/scenarios/" + std::to_string(s) + "/degraded",
+                  "give app.json deadline_us, or leave degraded out");
   return TablesSearch(app, platform, scenarios, options).run();
 }
 

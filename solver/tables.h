@@ -48,7 +48,7 @@ struct TablesOptions {
   std::function<void(double elapsed_s, int scenarios_solved, double worst_regret)> on_progress;
 };
 
-/// Errors: kInvalid for an app of version 2, where neither tables nor regret is asked for, or where a
+/// Errors: kInvalid where neither tables nor regret is asked for, or where a
 /// scenario is degraded and nothing says how long a release may take;
 /// kInfeasible if no set of `tables` tables serves all scenarios (each has lost other XPUs, or
 /// loses other things), or if nothing within `regret` was found.

@@ -155,9 +155,7 @@ class Check {
     }
   }
 
-  void rates() {
-    if (const Status one = validate_one_rate(app_); !one) lie(one.error().what);
-  }
+  void rates() {}
 
   void schedule() {
     const Execution e = verification::execute(world_, candidate_, wcet_);
@@ -493,7 +491,7 @@ class Check {
 
 Verification verify(const AppSpec& app, const Platform& platform, const Policy& policy,
                     const VerifyOptions& options) {
-  for (const Status& status : {validate(app), validate(platform), validate_on(app, platform),
+  for (const Status& status : {validate_graph(app), validate(platform), validate_on(app, platform),
                                validate(policy, app, platform)})
     if (!status) {
       Verification answer;  // nothing else can be derived from it

@@ -38,7 +38,6 @@ Policy executed_under(const Table& table, const AppSpec& app, const Platform& pl
 
 void verify_changes(const AppSpec& app, const Platform& platform, const Tables& tables,
                     const VerifyOptions& options, TablesVerification& all) {
-  const auto period = one_period_us(app);
   // There may be thousands: each is executed and certified, and attacked a little.
   VerifyOptions quick = options;
   quick.executions = std::min<std::int64_t>(options.executions, 100);
@@ -54,7 +53,6 @@ void verify_changes(const AppSpec& app, const Platform& platform, const Tables& 
     const bool lost = std::any_of(placed.placements.begin(), placed.placements.end(),
                                   [](const Placement& p) { return p.xpu < 0; });
     if (!change.worst_case_us) {
-      if (change.delay_us) all.lies.push_back(name + "a delay, and no worst case");
       ++without;
       continue;
     }
@@ -74,14 +72,6 @@ void verify_changes(const AppSpec& app, const Platform& platform, const Tables& 
       ++certified;
     else if (v.lies.empty())
       all.taken.push_back(name + "its worst case was not re-derived");
-    if (!change.delay_us) continue;
-    const std::int64_t least =
-        period ? std::max<std::int64_t>(0, *change.worst_case_us - *period) : -1;
-    if (!period)
-      all.lies.push_back(name + "a delay, though the app states no one rate");
-    else if (*change.delay_us < least)
-      all.lies.push_back(name + "delay_us is said to be " + std::to_string(*change.delay_us) +
-                         ", it is " + std::to_string(least));
   }
   if (certified > 0)
     all.shown.push_back("the worst case of a release that spans a change, of " +

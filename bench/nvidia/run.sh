@@ -58,7 +58,7 @@ run() { # NAME PLATFORM POLICY SECONDS FLAG...
 }
 plan() { xauto solve --app app.json --platform "$1.json" --time-limit-s 3 --out "$1.policy.json"; }
 platform first.json 2000 yes
-xauto profile --platform first.json --repetitions 50 --app-version 2 --out profile.json --app-out profiled.json -- ./app || exit 1
+xauto profile --platform first.json --repetitions 50 --out profile.json --app-out profiled.json -- ./app || exit 1
 python3 - <<'P'
 import json
 app = json.load(open("profiled.json"))

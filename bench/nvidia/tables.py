@@ -85,7 +85,7 @@ def platform(preempt_us):
 
 
 def profile():
-    common = ("--platform", "platform.json", "--repetitions", 60, "--app-version", 2)
+    common = ("--platform", "platform.json", "--repetitions", 60)
     xauto("profile", *common, "--out", f"{ALONE}.json", "--app-out", "app.json", "--", "./tables")
     with load():
         xauto("profile", *common, "--out", f"{BESIDE}.json", "--", "./tables")

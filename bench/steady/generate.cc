@@ -53,7 +53,6 @@ class Generator {
   }
 
   SteadyCase make() {
-    made_.app.version = 2;
     made_.app.name = made_.name;
     choose_platform();
     choose_clocks();
@@ -76,7 +75,6 @@ class Generator {
 
   SteadyCase make(const std::string& name, const std::vector<Share>& shares) {
     made_.name = made_.app.name = name;
-    made_.app.version = 2;
     made_.platform = Platform::builtin("large").value();
     std::vector<int> firsts;  // of each component
     int part = 0;

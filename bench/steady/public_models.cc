@@ -102,7 +102,6 @@ SteadyCase engine_case(std::uint64_t seed, int load_pct) {
   made.load_pct = load_pct;
   made.platform = Platform::builtin("small").value();
   AppSpec& app = made.app;
-  app.version = 2;
   app.name = made.name;
   struct Group {
     int first, last, source;
@@ -165,7 +164,6 @@ SteadyCase waters_2019() {
   for (int k = 0; k < 4; ++k) made.platform.xpus.push_back({"a57" + std::to_string(k), "a57"});
   made.platform.xpus.push_back({"gpu0", "gpu", true, 275});
   AppSpec& app = made.app;
-  app.version = 2;
   app.name = made.name;
   // Ticks at most; 0: not there.
   const auto add = [&](const char* module, const char* name, std::int64_t period_ms,

@@ -124,7 +124,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: bench_standin APP SEED SLACK_US\n");
     return 2;
   }
-  const auto spec = xauto::load_any_app(argv[1]);
+  const auto spec = xauto::load_app(argv[1]);
   if (!spec) {
     std::fprintf(stderr, "bench_standin: %s\n", spec.error().to_string().c_str());
     return 2;

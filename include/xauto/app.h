@@ -109,8 +109,8 @@ class App {
   /// (0 to 100 000) faster or slower than its rate says. Sources of one clock keep their distance; those
   /// of two have none. Without it sources have this machine's clock. As a deadline it goes into app.json.
   template <class T>
-  App& clock(const Topic<T>& source, std::string name, int ppm = 100) {
-    set_clock(detail::topic_spec(source), std::move(name), ppm);
+  App& clock(const Topic<T>& source, const std::string& name, int ppm = 100) {
+    set_clock(detail::topic_spec(source), name, ppm);
     return *this;
   }
 

@@ -58,14 +58,9 @@ Status RunOptions::Data::take_policy(runtime::Session& session) const {
     session.take_tables(std::move(tables));
     return {};
   }
-  if (session.app.version == 2) {
-    XAUTO_ASSIGN(session.keys, text ? parse_key_policy(policy, where, session.app, session.platform)
+  XAUTO_ASSIGN(KeyPolicy made, text ? parse_key_policy(policy, where, session.app, session.platform)
                                     : load_key_policy(policy, session.app, session.platform));
-    session.policy = assignment_of(*session.keys);
-  } else {
-    XAUTO_ASSIGN(session.policy, text ? parse_policy(policy, where, session.app, session.platform)
-                                      : load_policy(policy, session.app, session.platform));
-  }
+  session.take_policy(std::move(made));
   return xpu::check_placements(session.app, session.platform, session.presence, session.policy,
                                where);
 }
@@ -74,7 +69,7 @@ Result<runtime::Session> RunOptions::Data::session() const {
   runtime::Session session;
   if (app.empty())
     return tl::unexpected<Error>(at("app", "is needed: app.json of `xauto profile`"));
-  XAUTO_ASSIGN(session.app, is_text(app) ? parse_app(app, "RunOptions::app") : load_any_app(app));
+  XAUTO_ASSIGN(session.app, is_text(app) ? parse_app(app, "RunOptions::app") : load_app(app));
   XAUTO_ASSIGN(session.platform, is_text(platform)
                                      ? parse_platform(platform, "RunOptions::platform")
                                      : load_platform(platform));

@@ -32,7 +32,7 @@ struct RunReport::Data {
   std::string app;
   bool emulator_died = false;
   bool emulates = false;  ///< some XPU of the run
-  bool by_keys = false;   ///< the run's app is of version 2
+  bool by_keys = false;   ///< the run goes by keys
 };
 
 }  // namespace xauto

@@ -36,11 +36,10 @@ Status Inlet::push(std::shared_ptr<const void> message, bool urgent) {
                 where, "publish between the calls of App::on_start and App::on_stop");
   if (keep_ == Keep::kNone) return {};
   if (urgent && urgent_ == Urgent::kRefused)
-    return fail(
-        ErrorCode::kInvalid,
-        "an urgent message was published, and nothing certifies that in this run", where,
-        "state \"urgent\": {\"by_us\", \"every_us\"} of this source in app.json (version 2), "
-        "solve again, and run by that policy");
+    return fail(ErrorCode::kInvalid,
+                "an urgent message was published, and nothing certifies that in this run", where,
+                "state \"urgent\": {\"by_us\", \"every_us\"} of this source in app.json, "
+                "solve again, and run by that policy");
   if (keep_ == Keep::kNewest) waiting_.clear();
   if (waiting_.size() >= kMaxWaiting)
     return fail(ErrorCode::kUnavailable,

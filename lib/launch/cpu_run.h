@@ -25,7 +25,7 @@ struct CpuRunRequest {
   const AppSpec& app;
   const Platform& platform;
   std::vector<const Policy*> tables;  ///< a row for each task; empty: nobody schedules
-  bool keys = false;                  ///< each job tells its own: a policy of version 2
+  bool keys = false;                  ///< each job tells its own: a policy of keys
   std::vector<bool> real;             ///< [XPU]; of the CPUs, those that the kernel schedules
   bool want_ext = false;
   /// A job's budget is its WCET times this; 0: no budgets. Only sched_ext enforces it.

@@ -94,25 +94,7 @@ void add_variants(Fnv& fnv, const XNodeSpec& x) {
   }
 }
 
-/// Of version 1: nothing, where there is nothing to lose, so that hashes are those of files written
-/// before there was a word for it.
-void add_losses(Fnv& fnv, const AppSpec& app) {
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
-    if (app.xnodes[i].variants.empty()) continue;
-    fnv.add("variants");
-    fnv.add(static_cast<std::int64_t>(i));
-    add_variants(fnv, app.xnodes[i]);
-  }
-  std::set<std::string_view> optional;
-  for (const ModuleSpec& module : app.modules)
-    if (module.optional) optional.insert(module.name);
-  for (const std::string_view module : optional) {
-    fnv.add("optional");
-    fnv.add(module);
-  }
-}
-
-/// What version 2 adds. Each list with its size, so that an entry of one is never read as one of
+/// Each list with its size, so that an entry of one is never read as one of
 /// the next.
 void add_periodic(Fnv& fnv, const AppSpec& app) {
   const auto size = [&](std::size_t count) { fnv.add(static_cast<std::int64_t>(count)); };
@@ -177,7 +159,7 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
   }
 }
 
-/// Version 2 lists every module that an XNode names; version 1 those of which there is more to say.
+/// Every module that an XNode names is listed.
 Status validate_modules(const AppSpec& app) {
   XAUTO_TRY(validate_names(app.modules, "modules", "module"));
   std::set<std::string_view> named, listed;
@@ -185,7 +167,6 @@ Status validate_modules(const AppSpec& app) {
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
     const XNodeSpec& x = app.xnodes[i];
     named.insert(x.module);
-    if (app.version == 1) continue;
     if (x.module.empty())
       return invalid("XNode " + quoted(x.name) + " needs a module", nth("xnodes", i) + "/module");
     if (!listed.contains(x.module))
@@ -199,28 +180,6 @@ Status validate_modules(const AppSpec& app) {
     XAUTO_TRY(in_range(app.modules[m].max_in_flight, 1, kMaxInFlight, "a number of activations",
                        nth("modules", m) + "/max_in_flight"));
   }
-  return {};
-}
-
-/// Version 1 has no place for what only version 2 says: its writer would drop it.
-Status nothing_periodic(const AppSpec& app) {
-  const auto refuse = [](const std::string& what, const std::string& where) {
-    return fail(ErrorCode::kInvalid, what + ": only version 2 of app.json has that", where);
-  };
-  for (std::size_t i = 0; i < app.sources.size(); ++i) {
-    const SourceSpec& source = app.sources[i];
-    if (source.period.den != 1 || source.offset_us != 0 || source.jitter_us != 0 ||
-        source.clock != 0)
-      return refuse("source " + quoted(source.name) + " has more than a period of whole us",
-                    "/sources/" + std::to_string(i));
-  }
-  if (app.clocks != AppSpec().clocks) return refuse("clocks", "/clocks");
-  for (std::size_t m = 0; m < app.modules.size(); ++m)
-    if (app.modules[m].max_in_flight != 1)
-      return refuse("several activations in flight", nth("modules", m) + "/max_in_flight");
-  if (!app.samples.empty()) return refuse("samples", "/samples");
-  if (!app.chains.empty()) return refuse("chains of the app", "/chains");
-  if (!app.transfers.empty()) return refuse("times of transfers", "/edges");
   return {};
 }
 
@@ -303,7 +262,6 @@ std::vector<int> AppSpec::topological_order(const std::vector<std::pair<int, int
 
 std::string AppSpec::hash() const {
   Fnv fnv;
-  if (version > 1) fnv.add("xauto.app 2");
   if (one_at_a_time) fnv.add("one at a time");
   fnv.add(name);
   fnv.add(static_cast<std::int64_t>(xnodes.size()));
@@ -319,12 +277,17 @@ std::string AppSpec::hash() const {
     fnv.add(v);
   }
   fnv.add(deadline_us.value_or(0));
-  if (version > 1)
-    add_periodic(fnv, *this);
-  else
-    add_losses(fnv, *this);
+  add_periodic(fnv, *this);
   return fnv.hex();
 }
+
+namespace {
+
+Status is_every_end(const std::string& what, const std::string& where) {
+  return invalid("'*' is no name: as the end of a chain it is every " + what, where + "/name");
+}
+
+}  // namespace
 
 Status validate(const std::vector<SourceSpec>& sources) {
   if (sources.size() > kMaxSources)
@@ -342,6 +305,7 @@ Status validate(const std::vector<SourceSpec>& sources) {
       return fail(ErrorCode::kInvalid,
                   "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes",
                   where + "/name");
+    if (source.name == kEveryEnd) return is_every_end("source", where);
     if (!names.insert(source.name).second)
       return fail(ErrorCode::kInvalid, "two sources are called " + quoted(source.name),
                   where + "/name");
@@ -382,6 +346,7 @@ Status validate_xnodes(const AppSpec& app) {
     if (x.name.size() > kMaxNameBytes || x.module.size() > kMaxNameBytes)
       return fail(ErrorCode::kInvalid,
                   "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes", where);
+    if (x.name == kEveryEnd) return is_every_end("XNode", where);
     if (!names.try_emplace(x.name, i).second)
       return fail(ErrorCode::kInvalid, "two XNodes are called " + quoted(x.name), where + "/name");
     if (x.wcet_us.empty())
@@ -402,10 +367,7 @@ Status validate_xnodes(const AppSpec& app) {
   return {};
 }
 
-Status validate(const AppSpec& app) {
-  if (app.version != 1 && app.version != 2)
-    return fail(ErrorCode::kInvalid, std::to_string(app.version) + " is no version of an app",
-                "/version");
+Status validate_graph(const AppSpec& app) {
   XAUTO_TRY(validate(app.sources));
   XAUTO_TRY(validate_xnodes(app));
   if (app.edges.size() > kMaxEdges)
@@ -439,19 +401,14 @@ Status validate(const AppSpec& app) {
   const std::vector<int> order = app.topological_order();
   if (order.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "cycle of XNodes: " + cycle_text(app, order), "/edges");
-  XAUTO_TRY(validate_modules(app));
-  XAUTO_TRY(app.version == 1 ? nothing_periodic(app) : validate_periodic(app));
-  return validate_losses(app);
+  return {};
 }
 
-Status validate_one_rate(const AppSpec& app) {
-  const std::size_t rates = app.rates();
-  if (app.version != 1 || rates < 2) return {};
-  return fail(ErrorCode::kInvalid,
-              "its sources have " + std::to_string(rates) +
-                  " rates, and version 1 of app.json plans one release of all of them",
-              "app " + quoted(app.name),
-              "write version 2: xauto profile --app-version 2 --app-out app.json");
+Status validate(const AppSpec& app) {
+  XAUTO_TRY(validate_graph(app));
+  XAUTO_TRY(validate_modules(app));
+  XAUTO_TRY(validate_periodic(app));
+  return validate_losses(app);
 }
 
 Status validate_on(const AppSpec& app, const Platform& platform) {
@@ -488,8 +445,7 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
   if (total > most)
     return fail(
         ErrorCode::kInvalid,
-        std::string("the WCETs, with a preemption each, ") +
-            (app.version > 1 ? "transfers, offsets and jitter " : "") + "sum to " +
+        "the WCETs, with a preemption each, transfers, offsets and jitter sum to " +
             std::to_string(total) + " us; " +
             (app.one_at_a_time ? "a release takes up to " : "policy.json holds times up to ") +
             std::to_string(most) + " us",

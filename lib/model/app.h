@@ -80,7 +80,7 @@ struct SourceSpec {
   /// In a profile alone: the program publishes. `period` is then the least distance that it states;
   /// no grid is known.
   bool pushed = false;
-  std::optional<UrgentSpec> urgent = {};  ///< version 2; nullopt: no release is
+  std::optional<UrgentSpec> urgent = {};  ///< nullopt: no release is
   bool operator==(const SourceSpec&) const = default;
 };
 
@@ -123,18 +123,14 @@ struct ProgramAsks {
 };
 
 struct AppSpec {
-  /// 1: one release of all sources, planned alone. 2: sources that release on and on.
-  int version = 1;
   std::string name;
   /// No source has a rate (each has kNoRate): they release together, and again when all of that has ended.
   bool one_at_a_time = false;
   std::vector<XNodeSpec> xnodes;
   /// Indices into `xnodes`: first must finish before second starts. The whole precedence relation.
   std::vector<std::pair<int, int>> edges;
-  std::optional<std::int64_t> deadline_us;
-  std::vector<SourceSpec> sources = {};  ///< version 1: may be empty: not known
-
-  // Version 2 alone.
+  std::optional<std::int64_t> deadline_us;  ///< of every chain that has none of its own
+  std::vector<SourceSpec> sources = {};
   std::vector<ClockSpec> clocks = {{"main", 0}};  ///< the first is always "main"
   std::vector<ModuleSpec> modules = {};           ///< every module that an XNode names, once
   /// (u, v): v reads the newest finished result of u when it starts, and waits for nobody.
@@ -157,10 +153,8 @@ struct AppSpec {
   [[nodiscard]] bool has_deadlines() const;  ///< some chain has one
   bool operator==(const AppSpec&) const = default;
 
-  /// 64-bit FNV-1a over the canonical text of names, modules, WCETs, edges and deadline, as 16 hex
-  /// digits. A policy carries it, so that a stale policy is refused rather than run. Version 1:
-  /// sources do not enter it, since what a policy orders does not depend on them. Version 2: all
-  /// does that a certificate or a chain's claim depends on.
+  /// 64-bit FNV-1a over the canonical text of all that a certificate or a chain's claim depends on, as 16 hex digits. A
+  /// policy carries it, so that a stale policy is refused rather than run.
   [[nodiscard]] std::string hash() const;
 };
 
@@ -181,6 +175,8 @@ inline constexpr std::int64_t kMaxInFlight = 1000;
 inline constexpr std::int64_t kMaxPpm = 100'000;  ///< a tenth: periods stay above 0
 inline constexpr std::int64_t kDefaultPpm = 100;  ///< of every clock but "main"
 inline constexpr const char* kMainClock = "main";
+/// As an end of a chain in app.json: every source, or every XNode without successors. No name of one.
+inline constexpr const char* kEveryEnd = "*";
 
 /// Names unique and not empty, periods in [1, kMaxPeriodUs].
 [[nodiscard]] Status validate(const std::vector<SourceSpec>& sources);
@@ -190,10 +186,10 @@ inline constexpr const char* kMainClock = "main";
 /// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs].
 [[nodiscard]] Status validate_xnodes(const AppSpec& app);
 /// Sources and XNodes as above, edges in range, no self edge, no duplicate edge, no cycle (the
-/// message names the XNodes of one cycle). Version 2: and what model/periodic.h says.
+/// message names the XNodes of one cycle). What a plan of one release needs to know.
+[[nodiscard]] Status validate_graph(const AppSpec& app);
+/// The same, and what model/periodic.h says.
 [[nodiscard]] Status validate(const AppSpec& app);
-/// kInvalid: an app of version 1 whose sources have several rates, for which there is no policy.
-[[nodiscard]] Status validate_one_rate(const AppSpec& app);
 /// Every XNode has an implementation for a type that the platform has an instance of, and all of
 /// them one after the other, each on its slowest and paying for a preemption, end by kMaxTimeUs: a
 /// time of any policy then fits into its file.

@@ -21,7 +21,7 @@ class Keeper {
       : app_(app), old_(old), lines_(lines) {}
 
   void sources() {
-    if (app_.version > 1) app_.clocks = old_.clocks;
+    app_.clocks = old_.clocks;
     for (const SourceSpec& asked : old_.sources) {
       const auto at = std::find_if(app_.sources.begin(), app_.sources.end(),
                                    [&](const SourceSpec& s) { return s.name == asked.name; });
@@ -30,14 +30,11 @@ class Keeper {
         continue;
       }
       SourceSpec kept = asked;
-      // A rate cut to whole microseconds is what an earlier profile wrote.
-      if (asked.period.den == 1 && asked.period.num == at->period.floor_us())
-        kept.period = at->period;
-      else if (asked.period != at->period)
+      if (asked.period != at->period)
         lines_.push_back("kept: source '" + asked.name + "': " + asked.period.text() +
                          " (the program says " + at->period.text() + ")");
       // A measured jitter is only ever the longest that was seen: so is one that was asked for.
-      kept.jitter_us = app_.version > 1 ? std::max(asked.jitter_us, at->jitter_us) : 0;
+      kept.jitter_us = std::max(asked.jitter_us, at->jitter_us);
       if (asked.jitter_us > at->jitter_us)
         lines_.push_back("kept: source '" + asked.name + "': jitter_us " +
                          std::to_string(asked.jitter_us) +
@@ -66,10 +63,6 @@ class Keeper {
   }
 
   void chains() {
-    if (app_.version == 1) {
-      app_.deadline_us = deadline(old_.deadline_us, app_.deadline_us, "of all");
-      return;
-    }
     std::vector<ChainSpec> kept;
     for (ChainSpec asked : old_.chains) {
       const std::string &from = old_.sources[static_cast<std::size_t>(asked.from)].name,
@@ -176,15 +169,10 @@ Result<std::string> with_what_was_asked(AppSpec fresh, std::string_view old_text
                                         const std::string& origin,
                                         std::vector<std::string>& lines) {
   XAUTO_ASSIGN(const nlohmann::json parsed, json_document::parse(old_text, origin));
-  XAUTO_ASSIGN(AppSpec old, parse_app(old_text, origin));
+  XAUTO_ASSIGN(const AppSpec old, parse_app(old_text, origin));
   if (old.name != fresh.name) {
     lines.push_back("left: all of app '" + old.name + "', of which the file was");
     return to_json(fresh);
-  }
-  if (old.version > fresh.version) {
-    XAUTO_ASSIGN(fresh, as_version_2(std::move(fresh)));
-  } else if (old.version < fresh.version) {
-    XAUTO_ASSIGN(old, as_version_2(std::move(old)));
   }
   Keeper keeper(fresh, old, lines);
   keeper.sources();

@@ -6,7 +6,7 @@
 
 namespace xauto {
 
-/// Policy::worst_case_us bounds the end-to-end latency of ...
+/// What tables of priorities claim bounds the end-to-end latency of ...
 inline constexpr const char* kWorstCaseScope =
     "a release that meets no other, its sources in phase, every job within its WCET";
 
@@ -23,5 +23,13 @@ inline constexpr const char* kKeyScope =
     "every release, once each XNode that samples has started, within the app's WCETs, transfers, "
     "jitters and clock tolerances, where each XPU serves this app alone, by the policy's keys and "
     "holds";
+/// The same where no source has a rate.
+inline constexpr const char* kOneAtATimeScope =
+    "every release, let in when the one before has ended, within the app's WCETs and transfers, "
+    "where "
+    "each XPU serves this app alone, by the policy's keys and holds";
+[[nodiscard]] constexpr const char* scope_of(bool one_at_a_time) {
+  return one_at_a_time ? kOneAtATimeScope : kKeyScope;
+}
 
 }  // namespace xauto

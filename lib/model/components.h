@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Components and domains of an app of version 2: which XNodes release together, and which releases
+// Components and domains of an app: which XNodes release together, and which releases
 // come round again. docs/steady-state.md.
 //
 // A tick is the longest time that every period is a whole number of: 1 / ticks_per_us microseconds.
@@ -62,7 +62,7 @@ inline constexpr std::int64_t kMaxHyperperiodTicks = INT64_MAX / 4;
 
 /// That what edges join has one clock and one period. Part of find_components.
 [[nodiscard]] Status check_joins(const AppSpec& app);
-/// Of an app of version 2 whose edges are acyclic and whose XNodes hear of what there is. Refused:
+/// Of an app whose edges are acyclic and whose XNodes hear of what there is. Refused:
 /// a component with two clocks or two periods, a module in two components, periods without a tick.
 [[nodiscard]] Result<Components> find_components(const AppSpec& app);
 

@@ -30,7 +30,7 @@ std::int64_t least_period_us(const AppSpec& app) {
 std::int64_t drain_us(const AppSpec& app, const Platform& platform, const KeyPolicy& keys,
                       std::int64_t notice_us) {
   const auto found = find_components(app);
-  if (!found) return 0;                                    // no app of version 2
+  if (!found) return 0;                                    // no app that is valid
   std::vector<std::int64_t> passes(app.xnodes.size(), 0);  // messages to it
   const std::vector<std::int64_t> transfer = transfers_us(keys, app, platform);
   for (std::size_t e = 0; e < transfer.size(); ++e) passes[at(app.edges[e].second)] += transfer[e];

@@ -12,7 +12,6 @@ namespace xauto {
 
 /// All jobs with nominal releases before an instant S have ended so long after it, if until `notice_us`
 /// before the release before S none was longer than `keys` allows, and then none longer than `app` has it.
-/// `app`: of version 2.
 [[nodiscard]] std::int64_t drain_us(const AppSpec& app, const Platform& platform,
                                     const KeyPolicy& keys, std::int64_t notice_us);
 

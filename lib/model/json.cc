@@ -145,6 +145,35 @@ ordered_json asks_to_json(const Profile& profile) {
 
 }  // namespace
 
+namespace {
+
+/// Rates, whether they are pushed, and how late their releases were; none: nothing is known.
+std::vector<SourceSpec> read_sources(const Reader& root) {
+  std::vector<SourceSpec> sources;
+  if (root.has("sources"))
+    root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
+      sources.push_back({source["name"].text(), read_period(source)});
+      if (source.has("pushed")) sources.back().pushed = source["pushed"].boolean();
+      if (source.has("jitter_us"))
+        sources.back().jitter_us = source["jitter_us"].integer(0, kMaxPeriodUs);
+    });
+  return sources;
+}
+
+ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
+  ordered_json out = ordered_json::array();
+  for (const SourceSpec& source : sources) {
+    ordered_json one = {{"name", source.name}};
+    write_period(source.period, one);
+    if (source.pushed) one["pushed"] = true;
+    if (source.jitter_us != 0) one["jitter_us"] = source.jitter_us;
+    out.push_back(std::move(one));
+  }
+  return out;
+}
+
+}  // namespace
+
 Result<Profile> parse_profile(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
@@ -172,7 +201,7 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
                                     (*to)[type] = what.text();
                                   });
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
-  profile.sources = read_sources(root, true);
+  profile.sources = read_sources(root);
   read_clocks(root, profile);
   const NameIndex source_index = index_by_name(profile.sources);
   if (root.has("incomplete")) profile.incomplete = root["incomplete"].text();
@@ -323,21 +352,7 @@ std::string to_json(const Profile& profile) {
 
 // ---- files --------------------------------------------------------------------------------------
 
-Status require_version_1(const AppSpec& app, const std::string& origin) {
-  if (app.version == 1) return {};
-  return fail(ErrorCode::kInvalid,
-              "is 2: an app whose sources release on and on; this takes version 1, one release "
-              "planned alone",
-              origin + ": /version");
-}
-
 Result<AppSpec> load_app(const std::string& path) {
-  XAUTO_ASSIGN(AppSpec app, load_any_app(path));
-  XAUTO_TRY(require_version_1(app, path));
-  return app;
-}
-
-Result<AppSpec> load_any_app(const std::string& path) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
   Keys keys;
   XAUTO_ASSIGN(AppSpec app, parse_app(text, path, &keys));
@@ -365,14 +380,6 @@ Result<Profile> load_profile(const std::string& path) {
   XAUTO_ASSIGN(Profile profile, parse_profile(text, path, &keys));
   XAUTO_TRY(judge(keys, path));
   return profile;
-}
-
-Result<Policy> load_policy(const std::string& path, const AppSpec& app, const Platform& platform) {
-  XAUTO_ASSIGN(const std::string text, read_file(path));
-  Keys keys;
-  XAUTO_ASSIGN(Policy policy, parse_policy(text, path, app, platform, &keys));
-  XAUTO_TRY(judge(keys, path));
-  return policy;
 }
 
 Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,

@@ -23,9 +23,10 @@ namespace xauto {
 
 inline constexpr std::size_t kMaxFileBytes = 256u << 20;
 inline constexpr int kMaxJsonDepth = 64;
+/// Version of app.json, policy.json and tables.json. Other formats that are read have 1.
+inline constexpr std::int64_t kAppVersion = 3;
 
 // `origin` names the text in error messages, usually the file's path.
-/// Either version: AppSpec::version.
 [[nodiscard]] Result<AppSpec> parse_app(std::string_view text, std::string_view origin,
                                         Keys* keys = nullptr);
 [[nodiscard]] Result<Platform> parse_platform(std::string_view text, std::string_view origin,
@@ -33,10 +34,7 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<Profile> parse_profile(std::string_view text, std::string_view origin,
                                             Keys* keys = nullptr);
 /// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has
-/// passed. Of an app of version 1; the next is of one of version 2. The file has its app's version.
-[[nodiscard]] Result<Policy> parse_policy(std::string_view text, std::string_view origin,
-                                          const AppSpec& app, const Platform& platform,
-                                          Keys* keys = nullptr);
+/// passed.
 [[nodiscard]] Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
                                                  const AppSpec& app, const Platform& platform,
                                                  Keys* keys = nullptr);
@@ -59,8 +57,6 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
 [[nodiscard]] std::string to_json(const Profile& profile);
-[[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app,
-                                  const Platform& platform);
 [[nodiscard]] std::string to_json(const KeyPolicy& policy, const AppSpec& app,
                                   const Platform& platform);
 [[nodiscard]] std::string to_json(const Scenarios& scenarios);
@@ -68,17 +64,10 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] std::string to_json(const Tables& tables, const AppSpec& app,
                                   const Platform& platform);
 
-/// For those that would take an app of version 2 for one release.
-[[nodiscard]] Status require_version_1(const AppSpec& app, const std::string& origin);
-/// Version 1 alone.
 [[nodiscard]] Result<AppSpec> load_app(const std::string& path);
-/// Either version.
-[[nodiscard]] Result<AppSpec> load_any_app(const std::string& path);
 /// `name_or_path`: a built-in name ("small", "large", "core-ultra") or a platform.json.
 [[nodiscard]] Result<Platform> load_platform(const std::string& name_or_path);
 [[nodiscard]] Result<Profile> load_profile(const std::string& path);
-[[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,
-                                         const Platform& platform);
 /// A policy of an earlier version of the app, or for an earlier platform, to begin with: what can be
 /// said of the XNodes that are still there. One that was not, or was on an XPU that is gone, has
 /// xpu -1 and no keys. No claim is read, nothing else is validated.

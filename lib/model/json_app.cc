@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// app.json, versions 1 and 2.
+// app.json
 #include <optional>
 #include <set>
 #include <unordered_set>
@@ -78,8 +78,6 @@ void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
   });
 }
 
-// ---- version 2 ----------------------------------------------------------------------------------
-
 /// Clocks are those of "clocks" and those that sources name; "main" is the first. What is listed
 /// twice is refused here: validate() counts them as the app does.
 void read_clocks_and_sources(const Reader& root, AppSpec& app,
@@ -132,12 +130,14 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
       source.clock = clock->second;
     }
     app.one_at_a_time = !rate;
-    if (without && (rate || *without != 0))
+    if (without && (rate || *without != 0)) {
+      const SourceSpec& other = app.sources[rate ? *without : 0];
       return s.refuse(
           "has " + std::string(rate ? "a rate" : "neither \"period_us\" nor \"rate_hz\"") +
-              ", and another source has " + (rate ? "none" : "a rate"),
+              ", and source '" + other.name + "' has " + (rate ? "none" : "a rate"),
           "give every source a rate, or none: then they release together, and again when "
           "all of that has ended");
+    }
     app.sources.push_back(std::move(source));
   });
 }
@@ -149,7 +149,7 @@ void read_modules(const Reader& root, AppSpec& app) {
   if (root.has("modules"))
     root["modules"].each_element(kMaxXNodes, [&](std::size_t, const Reader& m) {
       ModuleSpec module{m["name"].text()};
-      if (app.version > 1 && m.has("max_in_flight"))
+      if (m.has("max_in_flight"))
         module.max_in_flight = m["max_in_flight"].integer(1, kMaxInFlight);
       if (m.has("optional")) module.optional = m["optional"].boolean();
       if (m.failed()) return;
@@ -160,7 +160,7 @@ void read_modules(const Reader& root, AppSpec& app) {
         return m["name"].refuse("two modules are called '" + module.name + "'");
       app.modules.push_back(std::move(module));
     });
-  if (app.version > 1) complete_modules(app);
+  complete_modules(app);
 }
 
 /// ["u", "v"], or {"from": "u", "to": "v", "transfer_us": {"gpu": {"dla": 300}}}.
@@ -179,28 +179,39 @@ void read_edges(const Reader& root, const NameIndex& xnodes, AppSpec& app) {
 }
 
 /// "*": every source, and every last XNode that hears of it. Such an entry has no name, and is of the chains that no
-/// other one says.
-void read_chains(const Reader& root, const NameIndex& sources, const NameIndex& xnodes,
-                 AppSpec& app) {
-  if (!root.has("chains")) return;
-  std::vector<std::pair<ChainSpec, Reader>> all;
-  root["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
-    const bool any_from = c["from"].text() == "*", any_to = c["to"].text() == "*";
+/// other one says. Returns [chain] which line of the file says it.
+std::vector<std::size_t> read_chains(const Reader& root, const NameIndex& sources,
+                                     const NameIndex& xnodes, AppSpec& app) {
+  struct Every {
+    ChainSpec chain;
+    Reader at;
+    std::size_t line;
+  };
+  std::vector<Every> all;
+  std::vector<std::size_t> line_of;
+  if (!root.has("chains")) return line_of;
+  root["chains"].each_element(kMaxAppChains, [&](std::size_t line, const Reader& c) {
+    const bool any_from = c["from"].text() == kEveryEnd, any_to = c["to"].text() == kEveryEnd;
     ChainSpec chain{any_from || any_to ? std::string() : c["name"].text()};
+    if ((any_from || any_to) && c.has("name"))
+      return c["name"].refuse("is one name for the several chains that a \"*\" stands for",
+                              "leave it out: they are called after their ends");
     if (!any_from) chain.from = read_name(c["from"], sources, "source", "\"sources\"");
     if (!any_to) chain.to = read_name(c["to"], xnodes, "XNode", "the app");
     if (c.has("deadline_us")) chain.deadline_us = c["deadline_us"].integer(1, kMaxTimeUs);
     if (c.has("weight")) chain.weight = c["weight"].integer(0, kMaxWeight);
-    if (any_from || any_to)
-      all.emplace_back(std::move(chain), c);
-    else
-      app.chains.push_back(std::move(chain));
+    if (any_from || any_to) {
+      all.push_back({std::move(chain), c, line});
+      return;
+    }
+    app.chains.push_back(std::move(chain));
+    line_of.push_back(line);
   });
-  if (all.empty()) return;
+  if (all.empty()) return line_of;
   std::set<std::pair<int, int>> said;
   for (const ChainSpec& chain : app.chains) said.insert({chain.from, chain.to});
   const std::vector<ChainSpec> possible = default_chains(app);
-  for (const auto& [entry, at] : all) {
+  for (const auto& [entry, at, line] : all) {
     bool any = false;
     for (const ChainSpec& one : possible) {
       if ((entry.from >= 0 && entry.from != one.from) || (entry.to >= 0 && entry.to != one.to))
@@ -210,11 +221,14 @@ void read_chains(const Reader& root, const NameIndex& sources, const NameIndex& 
       app.chains.push_back(one);
       app.chains.back().deadline_us = entry.deadline_us;
       app.chains.back().weight = entry.weight;
+      line_of.push_back(line);
     }
-    if (!any)
-      at.refuse("nothing is a chain from there to there",
-                "\"*\" as \"to\" is an XNode without successors");
+    if (!any && !possible.empty())  // of an app without chains validate() says why
+      at.refuse("stands for no chain of the app",
+                "\"*\" is every source, or every XNode without successors; a chain is between a "
+                "source and an XNode that hears of it");
   }
+  return line_of;
 }
 
 // ---- writing ------------------------------------------------------------------------------------
@@ -227,7 +241,7 @@ ordered_json clocks_to_json(const AppSpec& app) {
   return out;
 }
 
-ordered_json periodic_sources_to_json(const AppSpec& app) {
+ordered_json sources_to_json(const AppSpec& app) {
   ordered_json out = ordered_json::array();
   for (const SourceSpec& s : app.sources) {
     ordered_json source = {{"name", s.name}};
@@ -278,8 +292,7 @@ ordered_json xnodes_to_json(const AppSpec& app) {
   return xnodes;
 }
 
-/// Behind what both versions have: the sources before the XNodes, these lists behind the edges.
-void write_periodic(const AppSpec& app, ordered_json& document) {
+void write_chains(const AppSpec& app, ordered_json& document) {
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
   if (!app.samples.empty()) document["samples"] = pairs_to_json(app.samples, name);
   for (const ChainSpec& c : app.chains) {
@@ -299,20 +312,15 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
   AppSpec app;
-  app.version = static_cast<int>(root.expect("xauto.app", 2));
-  const bool periodic = app.version > 1;
+  root.expect(
+      "xauto.app", kAppVersion,
+      "`xauto profile --app-out` writes it anew; by hand: it names its sources, and each XNode "
+      "that waits for nobody names the \"source\" that it hears of");
   // What is asked of the solver; tools/xauto/objectives_file.h reads it.
   root.knows({"pins/*/xnode", "pins/*/xpu", "forbids/*/xnode", "forbids/*/xpu", "groups"});
-  if (!periodic)
-    root.knows({"chains/*/name", "chains/*/from", "chains/*/to", "chains/*/deadline_us",
-                "chains/*/weight"});
   app.name = root["name"].text();
   std::vector<Keys::Undeclared> undeclared;
-  if (periodic) {
-    read_clocks_and_sources(root, app, undeclared);
-  } else {
-    app.sources = read_sources(root);
-  }
+  read_clocks_and_sources(root, app, undeclared);
   const NameIndex sources = index_by_name(app.sources);
   read_xnodes(root, sources, app);
   read_modules(root, app);
@@ -322,18 +330,16 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
   XAUTO_TRY(in_file(validate_xnodes(app), origin));
   const NameIndex xnodes = index_by_name(app.xnodes);
   if (root.has("deadline_us")) app.deadline_us = root["deadline_us"].integer(1, kMaxTimeUs);
-  if (periodic) {
-    read_edges(root, xnodes, app);
-    if (root.has("samples")) app.samples = read_pairs(root["samples"], xnodes, kMaxSamples);
-    XAUTO_TRY(context.status());  // chains of "*" follow what is there
-    read_chains(root, sources, xnodes, app);
-    XAUTO_TRY(context.status());
-    complete_chains(app);
-  } else {
-    app.edges = read_pairs(root["edges"], xnodes);
-  }
+  read_edges(root, xnodes, app);
+  if (root.has("samples")) app.samples = read_pairs(root["samples"], xnodes, kMaxSamples);
+  XAUTO_TRY(context.status());  // chains of "*" follow what is there
+  const std::vector<std::size_t> line_of = read_chains(root, sources, xnodes, app);
   XAUTO_TRY(context.status());
-  XAUTO_TRY(in_file(validate(app), origin));
+  complete_chains(app);
+  give_deadlines(app);
+  Status valid = validate(app);
+  if (!valid) valid = in_file_order(std::move(valid).error(), "chains", line_of);
+  XAUTO_TRY(in_file(std::move(valid), origin));
   if (keys != nullptr) {
     *keys = context.keys(document);
     keys->undeclared = std::move(undeclared);
@@ -342,25 +348,17 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
 }
 
 std::string to_json(const AppSpec& app) {
-  ordered_json document = {{"schema", "xauto.app"}, {"version", app.version}, {"name", app.name}};
-  const bool periodic = app.version > 1;
-  if (periodic) {
-    if (ordered_json clocks = clocks_to_json(app); !clocks.empty())
-      document["clocks"] = std::move(clocks);
-    document["sources"] = periodic_sources_to_json(app);
-  } else if (!app.sources.empty()) {
-    document["sources"] = sources_to_json(app.sources);
-  }
-  for (const ModuleSpec& m : app.modules) {
-    ordered_json module = {{"name", m.name}};
-    if (periodic) module["max_in_flight"] = m.max_in_flight;
-    module["optional"] = m.optional;
-    document["modules"].push_back(std::move(module));
-  }
+  ordered_json document = {{"schema", "xauto.app"}, {"version", kAppVersion}, {"name", app.name}};
+  if (ordered_json clocks = clocks_to_json(app); !clocks.empty())
+    document["clocks"] = std::move(clocks);
+  document["sources"] = sources_to_json(app);
+  for (const ModuleSpec& m : app.modules)
+    document["modules"].push_back(
+        {{"name", m.name}, {"max_in_flight", m.max_in_flight}, {"optional", m.optional}});
   document["xnodes"] = xnodes_to_json(app);
   document["edges"] = edges_to_json(app);
   if (app.deadline_us) document["deadline_us"] = *app.deadline_us;
-  if (periodic) write_periodic(app, document);
+  write_chains(app, document);
   return json_document::to_text(document);
 }
 

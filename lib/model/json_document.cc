@@ -479,22 +479,19 @@ std::string Reader::decimal() const {
   return {};
 }
 
-std::int64_t Reader::expect(const char* schema, std::int64_t newest) const {
+void Reader::expect(const char* schema, std::int64_t version, std::string hint) const {
   const Reader given = (*this)["schema"];
   const std::string name = given.text();
   if (!failed() && name != schema)
     given.refuse("is " + shown(name) + ", expected \"" + schema + "\"",
                  "is this the right file?" + where_read(name));
-  const Reader version = (*this)["version"];
-  const std::int64_t number = version.integer(0, INT32_MAX);
-  if (!failed() && (number < 1 || number > newest)) {
-    std::string readable = newest == 1 ? "version 1" : "versions 1";
-    for (std::int64_t v = 2; v <= newest; ++v)
-      readable += (v == newest ? " and " : ", ") + std::to_string(v);
-    version.refuse("is " + std::to_string(number) + ", this program reads " + readable,
-                   "update xauto, or write the file again with this version");
-  }
-  return number;
+  const Reader said = (*this)["version"];
+  const std::int64_t number = said.integer(0, INT32_MAX);
+  if (!failed() && number != version)
+    said.refuse(
+        "is " + std::to_string(number) + ", this program reads version " + std::to_string(version),
+        number > version ? "update xauto, or write the file again with this version"
+                         : std::move(hint));
 }
 
 }  // namespace xauto::json_document

@@ -102,8 +102,9 @@ class Reader {
   /// A number as the shortest decimal that means it, or a text as it is. Empty: refused.
   [[nodiscard]] std::string decimal() const;
 
-  /// "schema" and "version": the file says what it is. Returns the version, 1 to `newest`.
-  std::int64_t expect(const char* schema, std::int64_t newest = 1) const;
+  /// "schema" and "version": the file says what it is. `hint`: what to do with an older one.
+  void expect(const char* schema, std::int64_t version = 1,
+              std::string hint = "write the file again with this version") const;
 
  private:
   [[nodiscard]] bool is_array(std::size_t limit) const;

@@ -13,12 +13,14 @@ Status in_file(Status status, std::string_view origin) {
   return tl::unexpected<Error>(std::move(error));
 }
 
-Status in_file_order(Error error, const std::vector<std::size_t>& line_of) {
-  constexpr std::string_view kPlace = "/xnodes/";
-  if (error.where.starts_with(kPlace)) {
-    const std::size_t end = std::min(error.where.find('/', kPlace.size()), error.where.size());
-    const std::size_t index = std::stoul(error.where.substr(kPlace.size(), end - kPlace.size()));
-    error.where = std::string(kPlace) + std::to_string(line_of.at(index)) + error.where.substr(end);
+Status in_file_order(Error error, const std::string& list,
+                     const std::vector<std::size_t>& line_of) {
+  const std::string place = "/" + list + "/";
+  if (error.where.starts_with(place)) {
+    const std::size_t end = std::min(error.where.find('/', place.size()), error.where.size());
+    const std::size_t index = std::stoul(error.where.substr(place.size(), end - place.size()));
+    if (index < line_of.size())
+      error.where = place + std::to_string(line_of[index]) + error.where.substr(end);
   }
   return tl::unexpected<Error>(std::move(error));
 }
@@ -89,22 +91,6 @@ void write_period(const Period& period, ordered_json& source) {
     source["rate_hz"] = rate;
 }
 
-std::vector<SourceSpec> read_sources(const Reader& root, bool profile) {
-  std::vector<SourceSpec> sources;
-  if (root.has("sources"))
-    root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
-      if (!profile) {
-        sources.push_back({source["name"].text(), {source["period_us"].integer(1, kMaxPeriodUs)}});
-        return;
-      }
-      sources.push_back({source["name"].text(), read_period(source)});
-      if (source.has("pushed")) sources.back().pushed = source["pushed"].boolean();
-      if (source.has("jitter_us"))
-        sources.back().jitter_us = source["jitter_us"].integer(0, kMaxPeriodUs);
-    });
-  return sources;
-}
-
 std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources) {
   std::vector<int> heard;
   if (!xnode.has("source")) return heard;
@@ -125,18 +111,6 @@ void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& s
   for (const int s : heard) names.push_back(sources[static_cast<std::size_t>(s)].name);
   if (heard.size() == 1) xnode["source"] = names.front();
   if (heard.size() > 1) xnode["source"] = std::move(names);
-}
-
-ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
-  ordered_json out = ordered_json::array();
-  for (const SourceSpec& source : sources) {
-    ordered_json one = {{"name", source.name}};
-    write_period(source.period, one);
-    if (source.pushed) one["pushed"] = true;
-    if (source.jitter_us != 0) one["jitter_us"] = source.jitter_us;
-    out.push_back(std::move(one));
-  }
-  return out;
 }
 
 }  // namespace xauto::json_parts

@@ -22,7 +22,8 @@ using nlohmann::ordered_json;
 /// Puts the file's name before the place that a validator names.
 [[nodiscard]] Status in_file(Status status, std::string_view origin);
 /// A validator counts XNodes as the app does; the file may list them in another order.
-[[nodiscard]] Status in_file_order(Error error, const std::vector<std::size_t>& line_of);
+[[nodiscard]] Status in_file_order(Error error, const std::string& list,
+                                   const std::vector<std::size_t>& line_of);
 
 using NameIndex = std::unordered_map<std::string, int>;
 template <class Named>
@@ -73,15 +74,11 @@ void each_chain(const Reader& x, const AppSpec& app, Each each, std::vector<char
 /// "period_us" or "rate_hz", exactly one of them.
 [[nodiscard]] Period read_period(const Reader& source);
 void write_period(const Period& period, ordered_json& source);
-/// "sources" of version 1, where there are any; `profile`: rates, whether they are pushed, and how late their
-/// releases were.
-[[nodiscard]] std::vector<SourceSpec> read_sources(const Reader& root, bool profile = false);
 /// "source" of an XNode: a name, or an array of names.
 [[nodiscard]] std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources);
 
 void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& sources,
                  ordered_json& xnode);
-[[nodiscard]] ordered_json sources_to_json(const std::vector<SourceSpec>& sources);
 
 template <class Names>
 ordered_json pairs_to_json(const std::vector<std::pair<int, int>>& pairs, const Names& name) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// policy.json: version 1 is of an app of version 1, version 2 of one of version 2.
+// policy.json
 #include <cstdint>
 
 #include "model/claims.h"
@@ -12,42 +12,26 @@ using namespace json_parts;
 
 namespace {
 
-/// The file has the version that the caller reads, which is that of its app.
-void expect_version(const Reader& root, std::int64_t version, const AppSpec& app) {
-  const std::int64_t given = root.expect("xauto.policy", 2);
-  if (!root.failed() && (given != version || app.version != version))
-    root["version"].refuse("is " + std::to_string(given) + ", app '" + app.name +
-                               "' is of version " + std::to_string(app.version),
-                           "a policy has the version of its app: solve again");
-}
-
-template <class AnyPolicy>
-void read_head(const Reader& root, AnyPolicy& policy) {
+void read_head(const Reader& root, KeyPolicy& policy) {
+  root.expect("xauto.policy", kAppVersion, "solve again");
   policy.app = root["app"].text();
   policy.app_hash = root["app_hash"].text();
   if (root.has("platform")) policy.platform = root["platform"].text();
   policy.method = root["method"].text();
 }
 
-/// What is left once all has been read; `keys` as in parse_policy.
-template <class AnyPolicy>
-Result<AnyPolicy> accept(AnyPolicy policy, const Reader& root, const Reader::Context& context,
+/// What is left once all has been read; `keys` as in parse_key_policy.
+Result<KeyPolicy> accept(KeyPolicy policy, const Reader& root, const Reader::Context& context,
                          const nlohmann::json& document, const AppSpec& app,
                          const Platform& platform, const std::vector<std::size_t>& line_of,
                          Keys* keys) {
   if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
   Status valid = validate(policy, app, platform);
-  if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
+  if (!valid) valid = in_file_order(std::move(valid).error(), "xnodes", line_of);
   XAUTO_TRY(in_file(std::move(valid), context.origin));
   if (keys != nullptr) *keys = context.keys(document);
   return policy;
-}
-
-template <class AnyPolicy>
-ordered_json head_to_json(const AnyPolicy& policy, int version) {
-  return {{"schema", "xauto.policy"},    {"version", version},          {"app", policy.app},
-          {"app_hash", policy.app_hash}, {"platform", policy.platform}, {"method", policy.method}};
 }
 
 int read_xpu(const Reader& x, const Platform& platform) {
@@ -56,6 +40,21 @@ int read_xpu(const Reader& x, const Platform& platform) {
   if (!x.failed() && xpu < 0)
     x["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
   return xpu;
+}
+
+/// Its keys, and until when it is held; or a priority.
+void read_urgency(const Reader& x, KeyPlacement& p) {
+  if (!x.has("priority")) {
+    if (!x.has("key_us")) return x.refuse("has neither \"key_us\" nor \"priority\"");
+    p.key_us = read_series(x, "key_us", true);
+    p.hold_us = read_series(x, "hold_us", false);
+    return;
+  }
+  for (const char* key : {"key_us", "hold_us", "start_us", "finish_us"})
+    if (x.has(key))
+      return x[key].refuse("stands beside a priority, of which no time is known",
+                           "give the XNode a priority, or keys and their times");
+  p.priority = x["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
 }
 
 /// each(XNode of the app, its line). Returns which line of the file that was.
@@ -94,39 +93,11 @@ void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
 
 }  // namespace
 
-Result<Policy> parse_policy(std::string_view text, std::string_view origin, const AppSpec& app,
-                            const Platform& platform, Keys* keys) {
-  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
-  Reader::Context context{std::string(origin), {}};
-  const Reader root(context, &document, "");
-  expect_version(root, 1, app);
-  Policy policy;
-  read_head(root, policy);
-  const NameIndex index = index_by_name(app.xnodes);
-  policy.placements.resize(app.xnodes.size());
-  const std::vector<std::size_t> line_of =
-      read_placements(root, app, index, [&](std::size_t i, const Reader& x) {
-        Placement& p = policy.placements[i];
-        p.xpu = read_xpu(x, platform);
-        p.priority = x["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
-        p.start_us = x["start_us"].time();
-        p.finish_us = x["finish_us"].time();
-      });
-  if (root.has("order")) policy.order = read_pairs(root["order"], index);
-  policy.latency_us = root["latency_us"].time();
-  policy.lower_bound_us = root["lower_bound_us"].time();
-  policy.optimal = root["optimal"].boolean();
-  if (root.has("worst_case_us")) policy.worst_case_us = root["worst_case_us"].time();
-  if (root.has("worst_case_of")) (void)root["worst_case_of"].text();  // for people
-  return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
-}
-
 Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
                                    const AppSpec& app, const Platform& platform, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
-  expect_version(root, 2, app);
   KeyPolicy policy;
   read_head(root, policy);
   policy.placements.resize(app.xnodes.size());
@@ -134,15 +105,18 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
       read_placements(root, app, index_by_name(app.xnodes), [&](std::size_t i, const Reader& x) {
         KeyPlacement& p = policy.placements[i];
         p.xpu = read_xpu(x, platform);
-        p.key_us = read_series(x, "key_us", true);
-        p.hold_us = read_series(x, "hold_us", false);
+        read_urgency(x, p);
+        if (p.priority) return;
         p.start_us = read_series(x, "start_us", false);
         p.finish_us = read_series(x, "finish_us", false);
       });
   if (root.has("order")) policy.order = read_pairs(root["order"], index_by_name(app.xnodes));
   if (root.has("certified")) policy.certified = root["certified"].boolean();
-  if (policy.certified)
+  if (policy.certified &&
+      !policy.by_priority())  // of priorities validate() says that nothing can be claimed
     read_claims(root, app, policy);
+  else if (policy.certified)
+    (void)root.has("chains");
   else if (root.has("chains"))
     root["chains"].refuse("claims something, and the policy is not certified",
                           "nothing is claimed of what no proof is known of: solve again");
@@ -154,7 +128,6 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
-  expect_version(root, 2, app);
   KeyPolicy policy;
   read_head(root, policy);
   if (!root.failed() && policy.app != app.name)
@@ -165,10 +138,12 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
   std::vector<char> there(app.xnodes.size(), 0);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     const std::string name = x["name"].text(), xpu = x["xpu"].text();
-    KeyPlacement placed{platform.find(xpu), read_series(x, "key_us", true)};
-    placed.hold_us = read_series(x, "hold_us", false);
+    KeyPlacement placed{platform.find(xpu)};
+    read_urgency(x, placed);
     if (x.failed()) return;
-    if (placed.key_us.empty()) return x["key_us"].refuse("XNode '" + name + "' has no key");
+    placed.priority.reset();  // where it is, and no key
+    if (placed.key_us.empty() && !x.has("priority"))
+      return x["key_us"].refuse("XNode '" + name + "' has no key");
     const auto found = index.find(name);
     if (found == index.end()) return;  // it is no more
     const auto i = static_cast<std::size_t>(found->second);
@@ -194,44 +169,24 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
   return policy;
 }
 
-std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform) {
-  const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
-  ordered_json xnodes = ordered_json::array();
-  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
-    const Placement& p = policy.placements[i];
-    xnodes.push_back({{"name", app.xnodes[i].name},
-                      {"xpu", platform.xpus[static_cast<std::size_t>(p.xpu)].id},
-                      {"priority", p.priority},
-                      {"start_us", p.start_us},
-                      {"finish_us", p.finish_us}});
-  }
-  ordered_json document = head_to_json(policy, 1);
-  document["xnodes"] = std::move(xnodes);
-  if (!policy.order.empty()) document["order"] = pairs_to_json(policy.order, name);
-  document["latency_us"] = policy.latency_us;
-  document["lower_bound_us"] = policy.lower_bound_us;
-  document["optimal"] = policy.optimal;
-  if (policy.worst_case_us) {
-    document["worst_case_us"] = *policy.worst_case_us;
-    document["worst_case_of"] = kWorstCaseScope;
-  }
-  document["solve_ms"] = policy.solve_ms;
-  return json_document::to_text(document);
-}
-
 std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform& platform) {
   ordered_json xnodes = ordered_json::array();
   for (std::size_t i = 0; i < policy.placements.size(); ++i) {
     const KeyPlacement& p = policy.placements[i];
     ordered_json xnode = {{"name", app.xnodes[i].name},
-                          {"xpu", platform.xpus[static_cast<std::size_t>(p.xpu)].id},
-                          {"key_us", p.key_us}};
+                          {"xpu", platform.xpus[static_cast<std::size_t>(p.xpu)].id}};
+    if (p.priority)
+      xnode["priority"] = *p.priority;
+    else
+      xnode["key_us"] = p.key_us;
     if (!p.hold_us.empty()) xnode["hold_us"] = p.hold_us;
     if (!p.start_us.empty()) xnode["start_us"] = p.start_us;
     if (!p.finish_us.empty()) xnode["finish_us"] = p.finish_us;
     xnodes.push_back(std::move(xnode));
   }
-  ordered_json document = head_to_json(policy, 2);
+  ordered_json document = {{"schema", "xauto.policy"},    {"version", kAppVersion},
+                           {"app", policy.app},           {"app_hash", policy.app_hash},
+                           {"platform", policy.platform}, {"method", policy.method}};
   document["xnodes"] = std::move(xnodes);
   if (!policy.order.empty())
     document["order"] = pairs_to_json(

@@ -130,7 +130,7 @@ Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& tab
   return handover;
 }
 
-/// `keys`: of version 2, what it says beyond where its XNodes are.
+/// `keys`: what it says beyond where its XNodes are; null: it has priorities.
 Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
                  const NameIndex& index, KeyPolicy* keys) {
   Table table;
@@ -143,7 +143,7 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
   x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
     const int found = read_name(placed["name"], index, "XNode", "the app");
     if (placed.failed()) return;
-    // Of version 2 what is off has keys all the same: the certificate counts with them.
+    // What is off has keys all the same: the certificate counts with them.
     const bool off =
         keys != nullptr && table.loss.is_off(app.xnodes[static_cast<std::size_t>(found)].module);
     if (off && placed.has("xpu"))
@@ -211,11 +211,8 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
-  const std::int64_t version = root.expect("xauto.tables", 2);
-  if (!root.failed() && version != app.version)
-    root["version"].refuse("is " + std::to_string(version) + ", app '" + app.name +
-                               "' is of version " + std::to_string(app.version),
-                           "tables have the version of their app: solve again");
+  root.expect("xauto.tables", kAppVersion, "solve again");
+  const bool by_keys = !app.one_at_a_time;
   XAUTO_TRY(context.status());
   Tables tables;
   tables.app = root["app"].text();
@@ -224,7 +221,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   tables.scenarios = read_scenarios(root);
   const NameIndex xnodes = index_by_name(app.xnodes);
   root["tables"].each_element(kMaxTables, [&](std::size_t, const Reader& x) {
-    KeyPolicy* const of_table = version == 1 ? nullptr : &tables.keys.emplace_back();
+    KeyPolicy* const of_table = by_keys ? &tables.keys.emplace_back() : nullptr;
     tables.tables.push_back(read_table(x, app, platform, xnodes, of_table));
   });
   XAUTO_TRY(context.status());
@@ -237,7 +234,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
     const int s = read_name(x["scenario"], scenario_of, "scenario", "the file");
     const int t = read_name(x["table"], table_of, "table", "the file");
     Served served{t};
-    if (version == 1) {
+    if (!by_keys) {
       served.worst_case_us = x["worst_case_us"].time();
       served.lower_bound_us = x["lower_bound_us"].time();
     } else {
@@ -255,7 +252,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
     if (of.table >= 0) return x["scenario"].refuse("is served twice");
     of = served;
   });
-  if (version == 2) {
+  if (by_keys) {
     tables.notice_us = root["notice_us"].time();
     if (root.has("handovers"))
       root["handovers"].each_element(kMaxTables * kMaxTables, [&](std::size_t, const Reader& x) {
@@ -265,10 +262,8 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
     root["changes"].each_element(kMaxScenarios * kMaxScenarios, [&](std::size_t, const Reader& x) {
       Change change{read_name(x["from"], scenario_of, "scenario", "the file"),
                     read_name(x["to"], scenario_of, "scenario", "the file"),
-                    {},
                     {}};
       if (x.has("worst_case_us")) change.worst_case_us = x["worst_case_us"].time();
-      if (x.has("delay_us")) change.delay_us = x["delay_us"].time();
       tables.changes.push_back(change);
     });
   if (root.has("solve_ms")) tables.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
@@ -279,7 +274,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
                   "scenario '" + tables.scenarios[s].name + "' is served by no table",
                   std::string(origin) + ": /serves");
   XAUTO_TRY(in_file(validate(tables, app, platform), origin));
-  if (version == 2) set_figures(tables, app);
+  if (by_keys) set_figures(tables, app);
   if (keys != nullptr) *keys = context.keys(document);
   return tables;
 }
@@ -329,7 +324,7 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
   const bool by_keys = !tables.keys.empty();
   ordered_json document = {{"schema", "xauto.tables"},
-                           {"version", by_keys ? 2 : 1},
+                           {"version", kAppVersion},
                            {"app", tables.app},
                            {"app_hash", tables.app_hash},
                            {"platform", tables.platform}};
@@ -383,7 +378,6 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
     ordered_json change = {{"from", tables.scenarios[static_cast<std::size_t>(c.from)].name},
                            {"to", tables.scenarios[static_cast<std::size_t>(c.to)].name}};
     if (c.worst_case_us) change["worst_case_us"] = *c.worst_case_us;
-    if (c.delay_us) change["delay_us"] = *c.delay_us;
     document["changes"].push_back(std::move(change));
   }
   document["solve_ms"] = tables.solve_ms;

@@ -2,6 +2,7 @@
 #include "model/key_policy.h"
 
 #include <algorithm>
+#include <map>
 #include <numeric>
 
 #include "base/index.h"
@@ -19,6 +20,34 @@ class Validation {
   Validation(const KeyPolicy& policy, const AppSpec& app, const Platform& platform,
              const Components& components)
       : policy_(policy), app_(app), platform_(platform), components_(components) {}
+
+  /// Of a policy of priorities: on each XPU each once, and nothing is claimed.
+  [[nodiscard]] Status priorities() const {
+    std::map<std::pair<int, std::int64_t>, std::size_t> first;
+    for (std::size_t i = 0; i < policy_.placements.size(); ++i) {
+      XAUTO_TRY(on_an_xpu(i));
+      const KeyPlacement& p = policy_.placements[i];
+      if (!p.priority || !p.key_us.empty() || !p.hold_us.empty())
+        return invalid(who(i) + "has keys, and others have priorities", place(i, "key_us"),
+                       "give each XNode a priority, or each keys");
+      if (!p.start_us.empty() || !p.finish_us.empty())
+        return invalid(who(i) + "has predicted times and a priority: no time is known of it",
+                       place(i, "start_us"));
+      if (*p.priority < -kMaxTimeUs || *p.priority > kMaxTimeUs)
+        return invalid(who(i) + "has priority " + std::to_string(*p.priority) + ", out of range",
+                       place(i, "priority"));
+      const auto [other, added] = first.try_emplace({p.xpu, *p.priority}, i);
+      if (!added)
+        return invalid(who(i) + "has priority " + std::to_string(*p.priority) + " on " +
+                           platform_.xpus[at(p.xpu)].id + ", as '" +
+                           app_.xnodes[other->second].name + "' has",
+                       place(i, "priority"), "priorities are unique per XPU instance");
+    }
+    if (policy_.certified || !policy_.chains.empty())
+      return invalid("priorities are not certified: nothing can be claimed of them", "/certified",
+                     "say \"certified\": false, and leave \"chains\" out");
+    return {};
+  }
 
   [[nodiscard]] Status placements() const {
     for (std::size_t i = 0; i < policy_.placements.size(); ++i) {
@@ -134,6 +163,9 @@ class Validation {
 
   [[nodiscard]] Status arrays(std::size_t i) const {
     const KeyPlacement& p = policy_.placements[i];
+    if (p.priority)
+      return invalid(who(i) + "has a priority, and others have keys", place(i, "priority"),
+                     "give each XNode a priority, or each keys");
     if (p.key_us.empty()) return invalid(who(i) + "has no key", place(i, "key_us"));
     const Component& component = components_.components[at(components_.of[i])];
     const auto size = static_cast<std::int64_t>(p.key_us.size());
@@ -213,10 +245,6 @@ class Validation {
 }  // namespace
 
 Status validate(const KeyPolicy& policy, const AppSpec& app, const Platform& platform) {
-  if (app.version != 2)
-    return invalid("is for an app of version 2, '" + app.name + "' is of version " +
-                       std::to_string(app.version),
-                   "/version", kHint);
   if (policy.app != app.name)
     return invalid("is for app '" + policy.app + "', this is '" + app.name + "'", "/app", kHint);
   if (policy.app_hash != app.hash())
@@ -229,10 +257,12 @@ Status validate(const KeyPolicy& policy, const AppSpec& app, const Platform& pla
                    "/xnodes");
   XAUTO_ASSIGN(const Components components, find_components(app));
   const Validation validation(policy, app, platform, components);
-  XAUTO_TRY(validation.placements());
+  XAUTO_TRY(policy.by_priority() ? validation.priorities() : validation.placements());
   XAUTO_TRY(validation.order());
-  XAUTO_TRY(validation.edges());
-  XAUTO_TRY(validation.chains());
+  if (!policy.by_priority()) {
+    XAUTO_TRY(validation.edges());
+    XAUTO_TRY(validation.chains());
+  }
   if (policy.solve_ms < 0)
     return invalid(std::to_string(policy.solve_ms) + " is no time", "/solve_ms");
   return {};
@@ -268,14 +298,35 @@ Policy assignment_of(const KeyPolicy& keys) {
   policy.solve_ms = keys.solve_ms;
   std::vector<std::size_t> by_key(keys.placements.size());
   std::iota(by_key.begin(), by_key.end(), std::size_t{0});
+  policy.placements.resize(keys.placements.size());
+  if (keys.by_priority()) {
+    for (std::size_t i = 0; i < keys.placements.size(); ++i)
+      policy.placements[i] = {keys.placements[i].xpu, keys.placements[i].priority.value_or(0)};
+    return policy;
+  }
   std::stable_sort(by_key.begin(), by_key.end(), [&](std::size_t a, std::size_t b) {
     return keys.placements[a].key_us.front() > keys.placements[b].key_us.front();
   });
-  policy.placements.resize(keys.placements.size());
   for (std::size_t rank = 0; rank < by_key.size(); ++rank) {
     Placement& placement = policy.placements[by_key[rank]];
     placement.xpu = keys.placements[by_key[rank]].xpu;
     placement.priority = static_cast<std::int64_t>(rank) + 1;
+  }
+  return policy;
+}
+
+KeyPolicy by_priorities(const Policy& plan, const AppSpec& app) {
+  KeyPolicy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.platform = plan.platform;
+  policy.method = plan.method;
+  policy.order = plan.order;
+  policy.solve_ms = plan.solve_ms;
+  policy.certified = false;
+  for (const Placement& placed : plan.placements) {
+    policy.placements.push_back({placed.xpu, {}});
+    policy.placements.back().priority = placed.priority;
   }
   return policy;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// KeyPolicy: the solver's answer for an app that runs on and on. File: policy.json, version 2.
+// KeyPolicy: the solver's answer, the runtime's order. File: policy.json.
 //
 // A job's key is an absolute instant: the nominal release of its component's activation plus
 // `key_us`. On an XPU the smaller key is the more urgent. Whoever keeps to that ends each job by its
@@ -27,6 +27,9 @@ struct KeyPlacement {
   std::vector<std::int64_t> hold_us = {};  ///< it does not start before; empty: it is not held
   /// Predicted, every job at its WCET; as many as keys, or empty: not known (several clocks).
   std::vector<std::int64_t> start_us = {}, finish_us = {};
+  /// In place of all these, the same in every release: larger goes first. Of all XNodes, or of none; unique on each
+  /// XPU.
+  std::optional<std::int64_t> priority = {};
   bool operator==(const KeyPlacement&) const = default;
 };
 
@@ -59,6 +62,10 @@ struct KeyPolicy {
   /// started before u of it has ended. A pair does what an edge does, without a message.
   std::vector<std::pair<int, int>> order = {};
   bool certified = true;  ///< false: nothing is claimed
+  /// It has priorities, and no keys: what baselines have, and what is written by hand. Nothing is claimed of it.
+  [[nodiscard]] bool by_priority() const {
+    return !placements.empty() && placements.front().priority.has_value();
+  }
   bool operator==(const KeyPolicy&) const = default;
 };
 
@@ -78,8 +85,10 @@ struct KeyPolicy {
 [[nodiscard]] std::vector<std::int64_t> transfers_us(const KeyPolicy& policy, const AppSpec& app,
                                                      const Platform& platform);
 
-/// Its assignment, for whoever asks only that; with the priorities that come nearest to its keys:
+/// Its assignment, for whoever asks only that; with its priorities, or those that come nearest to its keys:
 /// on each XPU the smaller first key is the larger priority. Nothing is claimed of them.
 [[nodiscard]] Policy assignment_of(const KeyPolicy& keys);
+/// A plan's assignment, priorities and order as a policy of `app`, which the plan may know in part only.
+[[nodiscard]] KeyPolicy by_priorities(const Policy& plan, const AppSpec& app);
 
 }  // namespace xauto

@@ -61,7 +61,7 @@ Status validate_losses(const AppSpec& app) {
   XAUTO_TRY(validate_variants(app));
   const auto optional = optional_modules(app);
   if (optional.empty()) return {};
-  if (app.version == 1 &&
+  if (app.one_at_a_time &&
       std::all_of(app.xnodes.begin(), app.xnodes.end(),
                   [&](const XNodeSpec& x) { return optional.contains(x.module); }))
     return invalid("every module is optional: nothing would be left to run", "/modules");
@@ -98,7 +98,7 @@ Status validate(const Loss& loss, const AppSpec& app, const std::string& where) 
                          ", which waits for it, is not",
                      where + "/off");
   }
-  if (app.version == 2 && !app.chains.empty() && kept_chains(app, loss).empty())
+  if (!app.one_at_a_time && !app.chains.empty() && kept_chains(app, loss).empty())
     return invalid("leaves no chain without a module that is off", where + "/off");
   return {};
 }
@@ -259,7 +259,7 @@ void take_variant(XNodeSpec& x, int variant) {
 
 AppSpec app_with(const AppSpec& app, const Loss& loss) {
   AppSpec left = app;
-  if (app.version == 2) {
+  if (!app.one_at_a_time) {
     if (loss.none()) return left;
     left = app_of_all_chains(app, loss);
     left.chains.clear();
@@ -267,6 +267,8 @@ AppSpec app_with(const AppSpec& app, const Loss& loss) {
     return left;
   }
   left.modules.clear();
+  left.chains.clear();
+  left.transfers.clear();
   left.xnodes.clear();
   left.edges.clear();
   std::vector<int> now(app.xnodes.size(), -1);

@@ -32,12 +32,12 @@ struct Loss {
 };
 
 /// Variants with names, each once, with implementations, WCETs in range, and a quality of 1 to 100.
-/// No edge from an optional module to one that is not, since that would wait for ever. Of version 1, not
-/// all are optional.
+/// No edge from an optional module to one that is not, since that would wait for ever. Of an app that
+/// releases one at a time, not all are optional.
 [[nodiscard]] Status validate_losses(const AppSpec& app);
 
 /// Variants that there are; modules that are optional, each once, with all that hears of them by
-/// edges; of version 2, some chain has no module that is off. `at`: the JSON pointer of the table, for messages.
+/// edges; some chain has no module that is off. `at`: the JSON pointer of the table, for messages.
 [[nodiscard]] Status validate(const Loss& loss, const AppSpec& app, const std::string& at);
 
 /// Of XNode or of its variant (-1: its own), on a type of XPU.
@@ -56,18 +56,19 @@ struct Loss {
 /// "lane off, fcd.infer small"; "" for none.
 [[nodiscard]] std::string words_of(const Loss& loss, const AppSpec& app);
 
-/// XNodes whose module is not off: [XNode of app_with()] of version 1.
+/// XNodes whose module is not off: of an app that releases one at a time [XNode of app_with()].
 [[nodiscard]] std::vector<int> kept(const AppSpec& app, const Loss& loss);
-/// [chain of app_with()] of version 2: those on none of whose ways, by edges and samples, a module is
+/// [chain of app_with()] of an app with rates: those on none of whose ways, by edges and samples, a module is
 /// off. A result that passes one that is off is old, or there is none.
 [[nodiscard]] std::vector<int> kept_chains(const AppSpec& app, const Loss& loss);
 /// What is left to schedule. Variants have taken the place of the XNodes' own implementations.
-/// Of version 1 modules that are off are not in it. Of version 2 they are, so that components, and by
+/// Of an app that releases one at a time modules that are off are not in it: it is one release, as a plan knows it,
+/// without chains. With rates they are, so that components, and by
 /// them the releases of all others, stay what they are: an XNode that is off takes 1 us on an XPU that
 /// only its module has (platform_with). What is not off waits for none of these, so no other job is
 /// later by that.
 [[nodiscard]] AppSpec app_with(const AppSpec& app, const Loss& loss);
-/// The same of version 2 with all chains, so that two tables with different losses have the same shape.
+/// The same of an app with rates, with all chains, so that two tables with different losses have the same shape.
 [[nodiscard]] AppSpec app_of_all_chains(const AppSpec& app, const Loss& loss);
 /// That XPU's id, and its type.
 [[nodiscard]] std::string off_xpu(const std::string& module);

@@ -333,27 +333,9 @@ void complete_chains(AppSpec& app) {
   if (app.chains.empty()) app.chains = default_chains(app);
 }
 
-Result<AppSpec> as_version_2(AppSpec app) {
-  app.version = 2;
-  complete_modules(app);
-  complete_chains(app);
-  for (ChainSpec& chain : app.chains) chain.deadline_us = app.deadline_us;
-  app.deadline_us.reset();
-  XAUTO_TRY(validate(app));
-  return app;
-}
-
-AppSpec as_version_1(AppSpec app) {
-  app.version = 1;
-  app.clocks = {{kMainClock, 0}};
-  for (SourceSpec& source : app.sources)  // it counts periods in whole microseconds
-    source = {source.name, {std::max<std::int64_t>(1, source.period.floor_us())}};
-  for (XNodeSpec& x : app.xnodes) x.variants.clear();
-  app.modules.clear();
-  app.samples.clear();
-  app.chains.clear();
-  app.transfers.clear();
-  return app;
+void give_deadlines(AppSpec& app) {
+  for (ChainSpec& chain : app.chains)
+    if (!chain.deadline_us) chain.deadline_us = app.deadline_us;
 }
 
 namespace {
@@ -390,9 +372,6 @@ Status validate_one_at_a_time(const AppSpec& app) {
 }  // namespace
 
 Status validate_periodic(const AppSpec& app) {
-  if (app.deadline_us)
-    return invalid("version 2 has no deadline of the whole", "/deadline_us",
-                   "give the chains deadlines");
   XAUTO_TRY(validate_clocks(app));
   if (app.one_at_a_time) XAUTO_TRY(validate_one_at_a_time(app));
   const auto pred = app.predecessors();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What only an app of version 2 has: clocks, modules, samples, chains, transfers, variants.
+// Of an app: clocks, modules, samples, chains, transfers.
 #pragma once
 
 #include <vector>
@@ -19,13 +19,8 @@ namespace xauto {
 void complete_modules(AppSpec& app);
 void complete_chains(AppSpec& app);
 
-/// An app of version 1 as one of version 2, if it can be: its sources are known, and what edges join
-/// has one period. Its deadline becomes that of the chains.
-[[nodiscard]] Result<AppSpec> as_version_2(AppSpec app);
-
-/// What version 1 knows of an app: XNodes, edges, how often sources release. Clocks, offsets, samples
-/// and chains are left out. So its solver answers, and its policy is written, for an app of version 2.
-[[nodiscard]] AppSpec as_version_1(AppSpec app);
+/// AppSpec::deadline_us to each chain that has none.
+void give_deadlines(AppSpec& app);
 
 /// Of an app whose sources, XNodes and edges are valid:
 ///   sources   offset in [0, period), jitter from 0 to an hour; clocks with names, ppm in range;

@@ -217,15 +217,16 @@ Status validate(const Profile& profile) {
 
 namespace {
 
-/// `app`, the graph of `profile`, of version 2: with rates, clocks, samples, and deadlines of chains.
+/// `app`, the graph of `profile`, with rates, clocks, samples, and deadlines of chains.
 Result<AppSpec> with_rates(const Profile& profile, AppSpec app) {
-  for (std::size_t i = 0; i < app.sources.size(); ++i) {
-    app.sources[i] = profile.sources[i];
-    app.sources[i].pushed = false;
-  }
+  for (SourceSpec& source : app.sources) source.pushed = false;
   app.samples = profile.sampled;
   app.clocks = profile.asks.clocks;
-  XAUTO_ASSIGN(AppSpec rated, as_version_2(std::move(app)));
+  AppSpec rated = std::move(app);
+  complete_modules(rated);
+  complete_chains(rated);
+  give_deadlines(rated);
+  XAUTO_TRY(validate(rated));
   for (ModuleSpec& module : rated.modules)
     if (const auto at = profile.in_flight.find(module.name); at != profile.in_flight.end())
       module.max_in_flight = at->second;
@@ -242,26 +243,6 @@ Result<AppSpec> with_rates(const Profile& profile, AppSpec app) {
   }
   XAUTO_TRY(validate(rated));
   return rated;
-}
-
-/// The longest way through the app where every XNode is on its fastest type: below it releases overlap.
-std::int64_t longest_way_us(const AppSpec& app) {
-  std::vector<std::int64_t> end(app.xnodes.size(), 0);
-  std::int64_t longest = 0;
-  const auto successors = app.successors();
-  for (const int v : app.topological_order()) {
-    const auto i = static_cast<std::size_t>(v);
-    const auto fastest = std::min_element(
-        app.xnodes[i].wcet_us.begin(), app.xnodes[i].wcet_us.end(),
-        [](const auto& one, const auto& other) { return one.second < other.second; });
-    if (fastest != app.xnodes[i].wcet_us.end()) end[i] += fastest->second;
-    longest = std::max(longest, end[i]);
-    for (const int next : successors[i]) {
-      std::int64_t& ready = end[static_cast<std::size_t>(next)];
-      ready = std::max(ready, end[i]);
-    }
-  }
-  return longest;
 }
 
 }  // namespace
@@ -284,27 +265,11 @@ Status can_be_planned(const Profile& profile) {
   return {};
 }
 
-std::string why_version_2(const Profile& profile, const AppSpec& app) {
-  if (!profile.sampled.empty()) return "a module samples";
-  if (!profile.in_flight.empty()) return "a module has several activations in flight";
-  if (!profile.asks.chains.empty()) return "a chain has a deadline of its own";
-  if (profile.asks.clocks.size() > 1) return "its sources have several clocks";
-  std::set<std::pair<std::int64_t, std::int64_t>> periods;
-  for (const SourceSpec& source : profile.sources)
-    periods.insert({source.period.num, source.period.den});
-  if (periods.size() > 1) return "its sources have several rates";
-  if (!profile.sources.empty() && profile.sources.front().period.floor_us() < longest_way_us(app))
-    return "a release comes before the last one can have ended";
-  return {};
-}
-
-Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from,
-                       bool version_2) {
+Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from) {
   XAUTO_TRY(validate(profile));
   AppSpec app;
   app.name = profile.app;
-  for (const SourceSpec& source : profile.sources)  // version 1 counts in whole microseconds
-    app.sources.push_back({source.name, {source.period.floor_us()}});
+  app.sources = profile.sources;
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {
     if (x.on.empty())
@@ -349,8 +314,6 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   }
   for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});
   app.deadline_us = profile.asks.deadline_us;
-  XAUTO_TRY(validate(app));
-  if (!version_2 && why_version_2(profile, app).empty()) return app;
   return with_rates(profile, std::move(app));
 }
 

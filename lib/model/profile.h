@@ -149,11 +149,8 @@ enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
 /// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes,
 /// and the longest median. `platform` gives each
-/// instance its type. A p99 needs kP99Samples. Of version 1 where that says all, else, and with
-/// `version_2`, of version 2.
+/// instance its type. A p99 needs kP99Samples.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
-                                     WcetFrom from, bool version_2 = false);
-/// What version 1 of its app.json cannot say, or plans as if it were not so, for people; empty: nothing.
-[[nodiscard]] std::string why_version_2(const Profile& profile, const AppSpec& app);
+                                     WcetFrom from);
 
 }  // namespace xauto

@@ -57,15 +57,11 @@ double Tables::worst_regret() const {
   return worst;
 }
 
-std::optional<std::int64_t> one_period_us(const AppSpec& app) {
-  if (app.sources.empty() || app.rates() != 1) return std::nullopt;
-  return app.sources.front().period.floor_us();
-}
-
 std::optional<std::int64_t> time_for_a_release(const AppSpec& app) {
-  const auto period = one_period_us(app);
-  if (!app.deadline_us || !period) return app.deadline_us ? app.deadline_us : period;
-  return std::min(*app.deadline_us, *period);
+  std::optional<std::int64_t> least_us = app.deadline_us;
+  for (const ChainSpec& chain : app.chains)
+    if (chain.deadline_us) least_us = std::min(least_us.value_or(kMaxTimeUs), *chain.deadline_us);
+  return least_us;
 }
 
 AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss) {
@@ -290,7 +286,7 @@ Status validate(const Table& table, const AppSpec& app, const Platform& platform
         return fail(ErrorCode::kInvalid,
                     "names XNode '" + app.xnodes[at(i)].name + "', whose module is off",
                     where + "/order");
-  if (app.version == 2) return {};  // its keys say more (validate_keys)
+  if (!app.one_at_a_time) return {};  // its keys say more (validate_keys)
   if (Status valid =
           validate(policy_under(table, app, platform, {}), app_with(app, table.loss), platform);
       !valid) {
@@ -309,7 +305,7 @@ bool are_of_chains(const std::vector<std::int64_t>& us, const std::vector<char>&
   return true;
 }
 
-/// Of an app of version 2: what the file says beyond placements.
+/// Of tables of keys: what the file says beyond placements.
 Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& platform) {
   const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
   if (tables.keys.size() != tables.tables.size())
@@ -370,11 +366,10 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
 }  // namespace
 
 Status validate(const Tables& tables, const AppSpec& app, const Platform& platform) {
-  if (tables.keys.empty() != (app.version == 1))
+  if (tables.keys.empty() != app.one_at_a_time)
     return fail(ErrorCode::kInvalid,
-                "are of version " + std::to_string(tables.keys.empty() ? 1 : 2) + ", app '" +
-                    app.name + "' is of version " + std::to_string(app.version),
-                "/version", "solve again");
+                app.one_at_a_time ? "have keys, and no source has a rate" : "have no keys",
+                "/tables", "solve again");
   if (tables.app != app.name)
     return fail(ErrorCode::kInvalid,
                 "are for app '" + tables.app + "', this is app '" + app.name + "'", "/app");

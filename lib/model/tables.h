@@ -35,7 +35,7 @@ struct Served {
   int table = -1;
   std::int64_t worst_case_us = 0;   ///< of every execution within the scenario's WCETs
   std::int64_t lower_bound_us = 0;  ///< proven: under this scenario no policy is shorter
-  /// Of an app of version 2, [chain]: proven, as ChainClaim::lower_bound_us, of what the table's loss
+  /// [chain] of tables of keys: proven, as ChainClaim::lower_bound_us, of what the table's loss
   /// leaves; kNotThere: the table does not have the chain. The two above follow from it
   /// and from the table's chains: of the chain whose worst case is longest relative to its deadline,
   /// and what that comes to in any policy; without deadlines the sums over all chains.
@@ -49,13 +49,10 @@ struct Change {
   int from = -1, to = -1;  ///< scenarios
   /// Of every execution within across(from, to); nullopt: it may need an XPU that is lost.
   std::optional<std::int64_t> worst_case_us;
-  /// Where the app says at which one rate it is released: so much later than planned the next
-  /// release comes, at most, if it waits for that one's end.
-  std::optional<std::int64_t> delay_us;
   bool operator==(const Change&) const = default;
 };
 
-/// Of an app of version 2: a run goes from one table to another without a pause, and each release keeps
+/// Of tables of keys: a run goes from one table to another without a pause, and each release keeps
 /// the one that it has. docs/steady-state.md, theorem 8.
 struct Handover {
   int from = -1, to = -1;  ///< tables
@@ -77,8 +74,8 @@ struct Tables {
   std::vector<Table> tables;
   std::vector<Served> serves;   ///< [scenario]
   std::vector<Change> changes;  ///< all (from, to) of different scenarios, in that order; or none
-  /// [table] of an app of version 2: keys and holds, also of what is off (app_with), and each chain's
-  /// worst case in every scenario that the table serves, or kNotThere. Empty: of version 1.
+  /// [table] keys and holds, also of what is off (app_with), and each chain's
+  /// worst case in every scenario that the table serves, or kNotThere. Empty: the app releases one at a time, and tables have priorities.
   std::vector<KeyPolicy> keys = {};
   std::vector<Handover> handovers =
       {};                      ///< all (from, to) of different tables, in that order; or none
@@ -104,11 +101,7 @@ enum class Why : std::uint8_t {
 
 inline constexpr std::size_t kMaxTables = 100;
 
-/// The period of all releases, where an app of version 1 states one.
-[[nodiscard]] std::optional<std::int64_t> one_period_us(const AppSpec& app);
-
-/// By when a release is to end: the deadline, or that one period, whichever is less; nullopt: the app
-/// states neither.
+/// By when a release is to end: the least of its deadlines; nullopt: there is none.
 [[nodiscard]] std::optional<std::int64_t> time_for_a_release(const AppSpec& app);
 
 /// What a table has to schedule under `scenario`, and on what: app_with() of app_under().
@@ -134,7 +127,7 @@ inline constexpr std::size_t kMaxTables = 100;
 void set_priorities(Tables& tables);
 /// Sets what follows from the chains' figures: the two of each Served.
 void set_figures(Tables& tables, const AppSpec& app);
-/// Of an app of version 2: the largest worst case relative to its deadline, 0 where none has one; and
+/// The largest worst case relative to its deadline, 0 where none has one; and
 /// the sum. `us`: by chain.
 struct Objective {
   double late = 0;

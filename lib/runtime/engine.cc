@@ -47,13 +47,13 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_TRY(graph.matches(session.app));
   if (session.app.one_at_a_time) graph.single_rate = true;  // whatever the program's rates are
   // Releases have the numbers of app.json's grid, also those that are pushed.
-  if (session.app.version == 2 && !session.lockstep && session.input.empty())
+  if (!session.app.sources.empty() && !session.lockstep && session.input.empty())
     for (Graph::Module& module : graph.modules) module.numbered = true;
   for (std::size_t m = 0; m < graph.modules.size(); ++m)
     if (!graph.single_rate && session.deployment.of(graph.modules[m].name).match_us)
       graph.match_by_origin(static_cast<int>(m));
   // With offsets a chain's release is not its component's.
-  if (session.app.version == 2) graph.tells_origins = true;
+  if (!session.app.sources.empty()) graph.tells_origins = true;
   auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph), stop));
   Engine& e = *engine;
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
@@ -90,7 +90,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   e.role_->attach(*e.context_, *e.wiring_, *e.ledger_);
   if (e.role_->leads()) {
     XAUTO_ASSIGN(e.releaser_, Releaser::make(*e.context_, *e.wiring_, *e.ledger_, e.stop_));
-    e.placing_.compare_with_certificate(app, session, e.graph_);
+    e.placing_.compare_with_certificate(session);
     std::string unkept;
     for (const std::string& line : e.placing_.unkept) add_note(unkept, line);
     board.tell_unkept(unkept);
@@ -193,7 +193,9 @@ std::vector<std::size_t> Engine::waiting() const {
 
 /// What has no time in a report, and why.
 void Engine::note_lockstep(RunReport& into) const {
-  if (!session_.lockstep || (graph_.single_rate && !grid_.periodic) || into.routes.empty()) return;
+  if (!session_.lockstep || grid_.one_at_a_time || (graph_.single_rate && !grid_.periodic) ||
+      into.routes.empty())
+    return;
   std::uint64_t untimed = 0;
   for (const RouteReport& route : into.routes) untimed += route.not_measured;
   add_note(into.note, "time between releases means nothing in lockstep: no age is measured" +

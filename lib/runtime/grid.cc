@@ -74,7 +74,7 @@ Status Grid::take_in_flight(const Graph& graph, const AppSpec& app) {
 
 Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   Grid grid;
-  grid.periodic = session.mode == Mode::kRun && session.app.version == 2;
+  grid.periodic = session.mode == Mode::kRun && !session.app.sources.empty();
   for (const Graph::Module& module : graph.modules) {
     grid.shift_ns.emplace_back(module.inputs.size(), 0);
     grid.in_flight.push_back(module.spec->in_flight);

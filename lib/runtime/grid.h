@@ -5,7 +5,7 @@
 //   source s, release k:        start + offset_s + k * period_s
 //   component, activation k:    start + phi + k * period, phi the least offset of its sources
 //
-// `start` is the run's. An app of version 1 has no offsets. docs/steady-state.md has the words.
+// `start` is the run's. docs/steady-state.md has the words.
 #pragma once
 
 #include <cstddef>
@@ -25,9 +25,9 @@ struct Grid {
   struct Source {
     Period period;
     std::int64_t offset_ns = 0;
-    std::int64_t jitter_ns = 0;  ///< what app.json states; of version 1 it says nothing
+    std::int64_t jitter_ns = 0;  ///< what app.json states
     std::size_t clock = 0;       ///< of `clock_ppm`
-    std::uint32_t number = 0;    ///< in the trace: app.json's, of version 1 the program's
+    std::uint32_t number = 0;    ///< in the trace: app.json's
     /// Of release `k`, after the start. In whole nanoseconds, rounded down; no drift adds up.
     [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
     /// Releases from one that may be urgent to the next; 0: none may.
@@ -35,7 +35,7 @@ struct Grid {
     std::int64_t shift_ns = 0;  ///< it releases so much later than its component's activation
     [[nodiscard]] std::int64_t period_ns() const { return due_ns(1) - due_ns(0); }
   };
-  /// The app is of version 2: its sources, chains and offsets are app.json's.
+  /// Its sources, chains and offsets are app.json's: a run. Otherwise the program's.
   bool periodic = false;
   /// app.json states no rates: all sources release together, and again when all of that has ended, at a distance that
   /// is the program's longest period at least.
@@ -48,12 +48,12 @@ struct Grid {
   /// -1 and 0: none.
   std::vector<int> urgent_source;
   std::vector<std::int64_t> urgent_by_us;
-  /// [module] activations that may be at once: the program's word, of version 2 app.json's.
+  /// [module] activations that may be at once: the program's word, in a run app.json's.
   std::vector<int> in_flight;
   /// [module] activations that may wait at its door when the policy's keys are kept.
   std::vector<std::uint32_t> depth;
 
-  /// Errors: an app.json of version 2 that this program or this run cannot follow.
+  /// Errors: an app.json that this program or this run cannot follow.
   [[nodiscard]] static Result<Grid> make(const Graph& graph, const Session& session);
 
  private:

@@ -44,10 +44,9 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   const Session& session = context.session;
   const bool paced = session.input.empty() && !session.lockstep;
   routes_.show_on(context.board, paced ? &context.grid : nullptr);
-  if (session.lockstep) routes_.in_lockstep();
+  if (session.lockstep && !context.grid.one_at_a_time) routes_.in_lockstep();
   if (context.graph.single_rate) {
     FlowLine& whole = context.board.flow(0);
-    whole.deadline_us = session.app.deadline_us.value_or(0);
     if (paced && !context.grid.sources.empty())
       whole.period_us = context.grid.sources.front().period_ns() / 1000;
   }
@@ -83,11 +82,7 @@ void Ledger::show_claims() {
     }
     return;
   }
-  // With tables each scenario claims for itself (TableSwitch). Otherwise it is about a release, of
-  // which every chain of an app of one rate is a part: none takes longer.
-  if (session.tables || !context_.graph.single_rate || !session.policy.worst_case_us) return;
-  for (std::size_t i = 0; i <= routes_.size(); ++i)
-    claim(context_.board.flow(i), *session.policy.worst_case_us);
+  // With tables of priorities each scenario claims for itself (TableSwitch).
 }
 
 /// What a chain may take beside its claim.
@@ -208,7 +203,7 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
     if (const auto late_us =
             routes_.published(context_.graph.modules[static_cast<std::size_t>(module)].nodes.back(),
                               origin_ns, origins, now, urgent);
-        late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
+        late_us)
       missed(module, sequence, *late_us);
   }
   if (ends_releases_[static_cast<std::size_t>(module)] == 0) return;
@@ -256,12 +251,6 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
       } else {
         latencies_us_.add(latency_us);
         whole.add(latency_us, now);
-      }
-      if (context_.session.app.deadline_us &&
-          (open.lost || latency_us > *context_.session.app.deadline_us)) {
-        deadline_misses_.fetch_add(1, std::memory_order_relaxed);
-        whole.late.fetch_add(1, std::memory_order_relaxed);
-        missed(module, next, latency_us);
       }
     }
     for (; !open_.empty() && open_.front().sinks_left == 0; ++open_base_) open_.pop_front();
@@ -403,15 +392,11 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
     into.num_releases = num_releases_;
     into.lost_releases = lost_releases_;
     into.latencies_us = latencies_us_;
-    into.deadline_misses = deadline_misses_.load();
     // A run that gave up: they have no result, and most no time left for one.
     for (const Open& open : open_) {
       if (gave_up_ns_ == 0 || open.sinks_left == 0) continue;
       ++into.num_releases;
       ++into.lost_releases;
-      if (const auto limit_us = context_.session.app.deadline_us;
-          limit_us && gave_up_ns_ - open.origin_ns > *limit_us * 1000)
-        ++into.deadline_misses;
     }
   }
   std::sort(into.releases.begin(), into.releases.end(),
@@ -436,6 +421,7 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
   Routes::Unended unended{gave_up_ns_, unended_, {}};
   for (const Released& source : released_) unended.newest_ns.push_back(source.newest_ns);
   into.routes = routes_.report(lost, gave_up_ns_ > 0 ? &unended : nullptr);
+  for (const RouteReport& route : into.routes) into.deadline_misses += route.deadline_misses;
   for (std::size_t n = 0; n < context_.graph.nodes.size(); ++n) {
     // Of the first table that has it.
     const auto of = std::find_if(limits.begin(), limits.end(),

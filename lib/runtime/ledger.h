@@ -132,9 +132,8 @@ class Ledger {
   std::vector<int> num_sinks_;      ///< [table]
   std::uint64_t num_released_ = 0;  ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
-  std::atomic<std::uint64_t> deadline_misses_{0};
-  std::vector<Released> released_;                     ///< [source]
-  std::int64_t gave_up_ns_ = 0;                        ///< 0: it did not
+  std::vector<Released> released_;           ///< [source]
+  std::int64_t gave_up_ns_ = 0;              ///< 0: it did not
   std::vector<std::uint64_t> unended_, released_for_;  ///< [module] then; released: 0: not known
 
   /// Written once per release and sink, not per job.

@@ -122,8 +122,9 @@ AppSpec longest(const Session& session) {
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
 std::vector<std::string> unkept_of_keys(const Session& session) {
   std::vector<std::string> lines;
-  if (session.lockstep) lines.emplace_back("each release waits for the one before (--lockstep)");
-  if (!session.input.empty())
+  if (session.lockstep && !session.app.one_at_a_time)
+    lines.emplace_back("each release waits for the one before (--lockstep)");
+  if (!session.input.empty() && !session.app.one_at_a_time)
     lines.emplace_back("a recording is released as it was recorded, not as app.json says");
   for (const ModuleSpec& module : session.app.modules)
     if (const auto said = session.deployment.of(module.name).overload;
@@ -177,7 +178,7 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
 /// By jobs within one WCET each.
 bool claims_worst_case(const Session& session) {
   if (session.scheduling != Scheduling::kXAuto || session.tables) return false;
-  return session.keys ? session.keys->certified : session.policy.worst_case_us.has_value();
+  return session.keys && session.keys->certified;
 }
 
 }  // namespace
@@ -230,8 +231,7 @@ Limits Placing::limits_of(const Session& session, const AppSpec& app, const Grap
   return of_job;
 }
 
-void Placing::compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
-                                       const Graph& graph) {
+void Placing::compare_with_certificate(const Session& session) {
   if (session.scheduling != Scheduling::kXAuto) return;
   if (session.keys && !session.keys->certified) {
     log::warn("nothing is claimed of this run: its policy is not certified");
@@ -244,21 +244,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
       log::warn("the policy's worst cases do not hold in this run: {}", why);
     return;
   }
-  if (!session.policy.worst_case_us) return;
-  const std::int64_t worst_us = *session.policy.worst_case_us;
-  const auto ms = [](std::int64_t us) {
-    return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
-  };
-  if (!graph.single_rate) {
-    unkept.emplace_back("the sources have several periods, so releases overlap in any phase");
-  } else if (session.input.empty() && !session.lockstep && !app.sources.empty()) {
-    const std::int64_t period_us =
-        session.period_us > 0 ? session.period_us : app.sources.front().period.floor_us();
-    if (period_us < worst_us)
-      log::warn(
-          "releases come every {}, the worst case is {} of {}: those that overlap may take longer",
-          ms(period_us), ms(worst_us), kWorstCaseScope);
-  }
+  if (!session.tables) return;
   const bool kept =
       session.cpu_sched == CpuSched::kExt || (session.cpu_sched == CpuSched::kFifo && !fifo.none());
   const std::vector<int> cpus = session.platform.instances_of("cpu");
@@ -267,7 +253,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
   if (real_cpus && !kept) unkept.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
   for (std::string& line : unkept_by_xpus(session)) unkept.push_back(std::move(line));
   for (const std::string& why : unkept)
-    log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
+    log::warn("the tables' worst cases do not hold in this run: {}", why);
 }
 
 Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module, int index,

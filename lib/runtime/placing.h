@@ -42,8 +42,7 @@ struct Placing {
                                  std::size_t table, std::size_t node, int at) const;
   /// Tells the user before the first release, not after an hour, under which of its assumptions the
   /// policy's worst case does not hold in this run.
-  void compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
-                                const Graph& graph);
+  void compare_with_certificate(const Session& session);
   /// The worker of one module on one XPU, for number `index` of the activations in flight. Errors:
   /// the XPU is not here.
   [[nodiscard]] Result<WorkerOptions> worker(const Context& context, std::size_t module, int index,

@@ -185,15 +185,15 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
     XAUTO_TRY(drain());
     const int t = context_.graph.topic_of_source[pushed->source];
     if (tracks()) {
-      XAUTO_ASSIGN(const bool released, release_tracked(t, pushed->waiting));
-      if (!released) continue;
+      XAUTO_ASSIGN(const bool goes_on, release_tracked(t, pushed->waiting));
+      if (!goes_on) return false;
     } else {
       std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
       // In lockstep waiting for its turn is no latency.
       release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
               {{t, number++, std::move(pushed->waiting.message), 0}});
+      if (counted_all(t)) return false;
     }
-    if (counted_all(t)) return false;
     // Whoever pushes without a pause must not hold it up.
     if (once || now_ns() >= until_ns) return true;
   }
@@ -245,7 +245,7 @@ void Releaser::leave_out(int topic, std::uint64_t number, std::int64_t at_ns) {
   release(at_ns, {{topic, number, nullptr, 0}});
 }
 
-/// As the release of the grid that it is. False: it is none.
+/// As the release of the grid that it is, if it is one; behind those that it shows to be left out. False: the run is over.
 Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) {
   const auto t = static_cast<std::size_t>(topic);
   const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
@@ -253,8 +253,11 @@ Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& 
   ClockPhase::Stream& stream = streams_[source];
   std::uint64_t next = stream.next;
   const auto found = phases_[grid.clock]->arrived(pushed.at_ns, grid, stream);
-  if (!found) return false;
-  for (; next < found->number; ++next) leave_out(topic, next, pushed.at_ns);
+  if (!found) return true;
+  for (; next < found->number; ++next) {
+    leave_out(topic, next, pushed.at_ns);
+    if (counted_all(topic)) return false;
+  }
   Seen& seen = seen_[source];
   seen.off += found->off_ns > 0 ? 1 : 0;
   seen.early += found->early ? 1 : 0;
@@ -265,7 +268,7 @@ Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& 
   XAUTO_ASSIGN(const bool fed, marked(seen, source, pushed.message.get(), found->number));
   const bool is_urgent = (pushed.urgent || fed) && urgent(seen, source, found->number);
   release(pushed.at_ns, {{topic, found->number, pushed.message, found->nominal_ns, is_urgent}});
-  return true;
+  return !counted_all(topic);
 }
 
 bool Releaser::wait_drained() {
@@ -421,9 +424,6 @@ Status Releaser::release_periodic() {
       if (stop_.load()) break;
       if (samples.empty()) continue;
     }
-    // Nobody has a use for it any more: the next one is there.
-    if (tables_ && !context_.session.keys && tables_->too_late(now_ns(), due))
-      for (Sample& sample : samples) sample.message.reset();
     release(now_ns(), samples);
     samples.clear();  // the messages belong to who reads them
   }
@@ -486,7 +486,7 @@ Status Releaser::release_one_at_a_time() {
   for (; !stop_.load() &&
          (session.activations == 0 || session.duration_us > 0 || number < session.activations);
        ++number) {
-    if (session.lockstep) XAUTO_TRY(drain());
+    if (session.lockstep && !wait_drained()) break;  // the run tells what does not end
     samples.clear();
     // Messages are made before their release, so that making them does not count as latency.
     for (const std::size_t t : polled) {
@@ -500,7 +500,7 @@ Status Releaser::release_one_at_a_time() {
     std::int64_t there_ns = polled.empty() ? 0 : due;
     for (const Sample& sample : samples) there_ns = std::max(there_ns, sample.stamp_ns);
     const bool free = !session.lockstep && ledger_.all_ended();
-    XAUTO_TRY(drain());
+    if (!wait_drained()) break;
     const std::int64_t now = now_ns();
     if (!session.lockstep && !free) {
       ++waited;
@@ -558,7 +558,7 @@ void Releaser::tell_early_start(const Sample& sample) {
     early->released(source.number, sample.sequence, sample.nominal_ns);
 }
 
-/// An app of version 2 states how late a release may be.
+/// app.json states how late a release may be.
 void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   const auto source = static_cast<std::size_t>(
       context_.graph.topics[static_cast<std::size_t>(sample.topic)].source);

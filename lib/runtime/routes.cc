@@ -68,7 +68,6 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
           static_cast<std::size_t>(source - graph.sources.begin()),
           static_cast<int>(node - graph.nodes.begin()));
     }
-    return routes;
   }
   const std::optional<std::int64_t> deadline_us = app.deadline_us;
   const auto add = [&](RouteReport counts, std::size_t topic, std::size_t module) {
@@ -76,6 +75,7 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
         graph.modules[module].nodes.back());
   };
   for (const ChainDeployment& chain : deployment.chains) {
+    if (routes.routes_.size() == kMaxChains) break;
     const std::string where = "chain '" + chain.name + "'";
     const auto topic = std::find_if(
         graph.topics.begin(), graph.topics.end(),
@@ -93,7 +93,7 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     add({chain.name, chain.from, chain.to, chain.deadline_us, chain.max_age_us, 0, 0, 0, {}, {}}, t,
         m);
   }
-  if (!deployment.chains.empty()) return routes;
+  if (grid.periodic || !deployment.chains.empty()) return routes;
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     if (graph.topics[t].source < 0) continue;
     const std::vector<char> reach = reached(graph, static_cast<int>(t));
@@ -251,7 +251,7 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
   const Guard lock(*mutex_);
   for (const std::size_t index : ends_[static_cast<std::size_t>(node)]) {
     Route& route = routes_[index];
-    // Of an app of version 2 `origin_ns` is the component's release, which is not this source's.
+    // By app.json's grid `origin_ns` is the component's release, which is not this source's.
     if (route.period_ns > 0 && route.source >= detail::kMaxOrigins) continue;
     std::int64_t origin = origin_ns;
     if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];

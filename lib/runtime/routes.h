@@ -35,7 +35,7 @@ struct MetChange {
   std::uint32_t from = 0, to = 0;
 };
 
-// In an app of version 2 a chain is app.json's, and its latency is the reduced reaction time that
+// In a run a chain is app.json's, and its latency is the reduced reaction time that
 // its worst case is about: from the nominal release k to the end of the first job that knows k or a
 // newer one. Each release counts, also those that a result has skipped. Where a chain leads through
 // samples, the first that comes is not counted, nor are those before it: a reader that starts for the
@@ -49,7 +49,7 @@ struct MetChange {
 /// Threads: any.
 class Routes {
  public:
-  /// Of an app of version 2: app.json's chains, at most kMaxChains of them. Otherwise the
+  /// In a run app.json's chains, at most kMaxChains of them; then the
   /// deployment's; without any, every sensor to every sink, with the app's deadline. Errors: a chain
   /// from a topic that is no sensor's, or to a module that cannot hear of it.
   [[nodiscard]] static Result<Routes> make(const Graph& graph, const Grid& grid,

@@ -41,11 +41,6 @@ bool emulates_type(const Session& session, const std::string& type) {
 Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, const Wiring& wiring,
                                                        Ledger& ledger) {
   if (!context.session.tables) return std::unique_ptr<TableSwitch>();
-  if (!context.graph.single_rate && !context.session.keys)
-    return fail(
-        ErrorCode::kInvalid, "its sources have several periods", "app '" + context.app.name + "'",
-        "tables of version 1 are for apps of one rate: profile it again, for an app.json of "
-        "version 2, or give `xauto run` one policy");
   std::unique_ptr<TableSwitch> made(new TableSwitch(context, wiring, ledger));
   // A job that is too long is found in the same period; what is in memory costs nothing to look at.
   const std::int64_t glance_ns = std::clamp(made->period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
@@ -85,9 +80,6 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
   if (session.input.empty() && !session.lockstep && !context.app.sources.empty())
     period_ns_ = 1000 * (session.period_us > 0 ? session.period_us
                                                : context.app.sources.front().period.floor_us());
-  for (const Change& change : tables_.changes)
-    if (change.worst_case_us)
-      longest_delay_ns_ = std::max(longest_delay_ns_, *change.worst_case_us * 1000 - period_ns_);
   Board& board = context.board;
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
     ScenarioLine& line = board.scenario(s);
@@ -264,7 +256,7 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   const int from = scenario_;
   const auto [first, table] = choose();
   std::int64_t held_ns = 0;
-  if (first.table != table || catches_up_) {
+  if (first.table != table) {
     if (!drained()) {
       if (!std::exchange(stuck_, true))
         log::error("what is in flight does not end, so releases keep table '{}'",
@@ -279,12 +271,9 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   SwitchReport change;
   const bool changed = is_news(choice, from);
   judge(release, changed ? &change : nullptr);
-  // Whoever waited for nothing is on time again. Where a release meets the next one in any case, the
-  // wait keeps no claim.
   constexpr std::int64_t kNothingNs = 200'000;
   const bool waited = held_ns > kNothingNs;
   const auto now_in = static_cast<std::size_t>(choice.scenario);
-  catches_up_ = waited && tables_.serves[now_in].worst_case_us * 1000 <= period_ns_;
   if (choice.table != table) put(release, choice.table);
   if (!changed) return waited;
   change.release = release;
@@ -419,11 +408,6 @@ std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machin
   header.outside_jobs.fetch_add(news.jobs, std::memory_order_relaxed);
   header.outside_clocks.fetch_add(news.files, std::memory_order_relaxed);
   return news.say;
-}
-
-bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
-  thread_.check();
-  return catches_up_ && now_ns - due_ns > period_ns_ + longest_delay_ns_;
 }
 
 std::vector<std::string> TableSwitch::broken() {

@@ -6,13 +6,10 @@
 //   another table         the sensors wait until all that is in flight has ended; then the release,
 //                         and the table's number, go out together
 //
-// Of an app of version 1 what tables claim is about releases that meet no other. So the wait is what
-// keeps the claim of the change (Change::worst_case_us), and as far as that holds it is at most
-// Change::delay_us. Where it made a release late, the ones after it wait likewise, until one is on time.
-// One that is later than a period and the longest such delay is not released at all: it is lost, and
-// counted.
+// Where the app releases one at a time nothing is in flight then: a change costs no wait, and a release that
+// is under way has Change::worst_case_us.
 //
-// Of an app of version 2 nothing waits: what is nominally released from an instant on has the new table,
+// Tables of keys wait for nothing: what is nominally released from an instant on has the new table,
 // and keys decide between jobs of both. What that may cost is Handover::worst_case_us, as long as the
 // change before has settled; a release that would need another table sooner keeps the one in force, is
 // counted, and nothing is claimed then. Nor is it after a change that was made later than the certificate
@@ -70,7 +67,7 @@ constexpr bool noticed_in_time(std::int64_t now_ns, std::int64_t too_long_ns,
 /// Threads: one, that of the releases, then that of the report; and its own.
 class TableSwitch {
  public:
-  /// Null in a run without tables. Errors: the program has several rates, and app.json is of version 1.
+  /// Null in a run without tables.
   [[nodiscard]] static Result<std::unique_ptr<TableSwitch>> make(const Context& context,
                                                                  const Wiring& wiring,
                                                                  Ledger& ledger);
@@ -78,7 +75,7 @@ class TableSwitch {
   /// Release `release` is about to be published: gives it its table. `drained` waits until all
   /// earlier ones have ended; false: it gave up, then the table stays. Returns whether it waited.
   bool before(std::uint64_t release, const std::function<bool()>& drained);
-  /// The same of an app of version 2: activations that are nominally released at `nominal_ns` of
+  /// The same of tables of keys: activations that are nominally released at `nominal_ns` of
   /// CLOCK_MONOTONIC are about to be, or those that were in part. Never waits.
   void at_release(std::int64_t nominal_ns);
   /// After that: whether activations of that nominal release are left out, since a change drains.
@@ -86,9 +83,6 @@ class TableSwitch {
     thread_.check();
     return nominal_ns >= drains_from_ns_ && nominal_ns < drains_until_ns_;
   }
-  /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
-  [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
-
   /// The next thread that calls is another one; the caller orders the two.
   void give_away() { thread_.give_away(); }
 
@@ -137,11 +131,9 @@ class TableSwitch {
   std::vector<Past> past_ XAUTO_GUARDED_BY(mutex_);            ///< [XNode]
   std::vector<std::uint64_t> hangs_ XAUTO_GUARDED_BY(mutex_);  ///< [XNode] that were looked at
   std::int64_t period_ns_ = 0;                                 ///< 0: none is stated
-  std::int64_t longest_delay_ns_ = 0;
-  int table_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< in force
+  int table_ XAUTO_GUARDED_BY(mutex_) = 0;                     ///< in force
   int scenario_ = 0;  ///< the one that was told; the choice is ahead of it while a drain fails
   std::uint64_t judged_ = 0;  ///< releases whose latency is counted
-  bool catches_up_ = false;   ///< the next release waits for the one before
   bool stuck_ = false;
   int lost_ = -1;              ///< the XPU that was last told to be lost
   bool told_outside_ = false;  ///< what was told last is that no scenario allows what was seen

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include <pthread.h>
+#include <sched.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -419,6 +420,8 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   } catch (...) {
     note_failure(placed, "threw something that is no std::exception");
   }
+  // The next job's key sets it again: nobody would see it later.
+  if (!given_.cpus.empty() && sched_getscheduler(0) != given_.policy) tell_moved();
   if (timed && !end_timed(placed)) succeeded = false;
   if (port_) {
     backend_->finishing(here.made.handle, !here.ran_once);

@@ -333,16 +333,19 @@ std::optional<Scheduling> scheduling_from(const std::string& name) {
   return std::nullopt;
 }
 
+void Session::take_policy(KeyPolicy made) {
+  policy = assignment_of(made);
+  keys.reset();
+  if (!made.by_priority()) keys = std::move(made);
+}
+
 void Session::take_tables(Tables all) {
   by_table.clear();
   for (std::size_t t = 0; t < all.tables.size(); ++t)
     by_table.push_back(whole_policy(all, t, app, platform));
   const auto first = static_cast<std::size_t>(all.serves.front().table);
   policy = by_table[first];
-  if (all.keys.empty())
-    policy.worst_case_us = all.serves.front().worst_case_us;
-  else
-    keys = keys_under(all, first, app, platform, {});
+  if (!all.keys.empty()) keys = keys_under(all, first, app, platform, {});
   tables = std::move(all);
 }
 
@@ -371,12 +374,11 @@ Result<std::string> to_json(const Session& s) {
     Deployment deployment = s.deployment;
     deployment.app = s.app.name;
     j["deployment"] = xauto::to_json(deployment);
-    j["by_keys"] = s.keys.has_value();
     if (s.tables)
       j["tables"] = xauto::to_json(*s.tables, s.app, s.platform);
     else if (s.scheduling != Scheduling::kRos2)
-      j["policy"] = s.keys ? xauto::to_json(*s.keys, s.app, s.platform)
-                           : xauto::to_json(s.policy, s.app, s.platform);
+      j["policy"] =
+          xauto::to_json(s.keys ? *s.keys : by_priorities(s.policy, s.app), s.app, s.platform);
   }
   return j.dump();
 }
@@ -408,13 +410,8 @@ Result<Session> parse_session(const std::string& text) {
     s.take_tables(std::move(tables));
     return s;
   }
-  if (j->at("by_keys").boolean().value_or(false)) {
-    XAUTO_ASSIGN(s.keys, parse_key_policy(member("policy"), "session", s.app, s.platform));
-    s.policy = assignment_of(*s.keys);
-  } else {
-    const AppSpec app = s.app.version == 2 ? as_version_1(s.app) : s.app;
-    XAUTO_ASSIGN(s.policy, parse_policy(member("policy"), "session", app, s.platform));
-  }
+  XAUTO_ASSIGN(KeyPolicy policy, parse_key_policy(member("policy"), "session", s.app, s.platform));
+  s.take_policy(std::move(policy));
   return s;
 }
 

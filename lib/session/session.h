@@ -45,10 +45,10 @@ struct Session {
   Mode mode = Mode::kRun;
   AppSpec app;  ///< kRun
   Platform platform;
-  /// kRun with kXAuto, kTimeshare; of version 2 assignment_of(keys), or without keys a policy of
-  /// priorities for as_version_1(app).
+  /// kRun with kXAuto, kTimeshare; set by take_policy or take_tables: assignment_of() of what was taken.
   Policy policy;
-  std::optional<KeyPolicy> keys;  ///< the same of an app of version 2; of tables that of the first
+  std::optional<KeyPolicy>
+      keys;  ///< what was taken, unless it has priorities; of tables that of the first
   /// Several policies, of which each release gets one (runtime/table_switch.h); then `policy` is that of
   /// the first scenario's table. With kXAuto; set by take_tables.
   std::optional<Tables> tables;
@@ -102,6 +102,7 @@ struct Session {
   int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
   int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
 
+  void take_policy(KeyPolicy made);
   void take_tables(Tables all);
   [[nodiscard]] std::size_t num_tables() const { return std::max<std::size_t>(1, by_table.size()); }
   [[nodiscard]] const Policy& of_table(std::size_t table) const {

@@ -21,7 +21,7 @@ struct TableClaims {
   std::vector<std::string> exceeded;  ///< a line each, "scenario 'x': 31.20 ms of 30.10 ms"
   std::vector<std::string> broken;    ///< assumptions that this run broke, a line each
 };
-/// `emulates`: the emulator's own part is allowed for (kEmulatorPct). `by_keys`: the app is of version 2.
+/// `emulates`: the emulator's own part is allowed for (kEmulatorPct). `by_keys`: they are tables of keys.
 [[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys);
 
 /// Of what met changes: `us` of `worst_us` is nearer to its worst case than `than_us` of `than_worst_us`, or

@@ -60,6 +60,7 @@ std::string label(const std::string& first, const std::string& second) {
 }
 
 std::string source_note(const AppSpec& app, const SourceSpec& source) {
+  if (app.one_at_a_time) return "one at a time";
   std::string text = rate_of(source.period);
   if (app.clocks.size() > 1) text += ", clock " + app.clocks[at(source.clock)].name;
   return text;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One release of a chain of version 2, traced back from the job that was the first to know it,
+// One release of a chain, traced back from the job that was the first to know it,
 // through what fires and what is sampled, to the sensors. Between a trace that was read back and
 // `xauto explain --trace`. Pure.
 #pragma once

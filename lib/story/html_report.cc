@@ -150,7 +150,7 @@ std::string verdict_html(const std::string& verdict) {
   return html + (listed ? "</ul>" : "</p>");
 }
 
-/// Of an app of version 2: the way of its slowest release, job by job.
+/// The way of its slowest release, job by job.
 std::string story_section(const ReadTrace& trace, const TraceReactions& chain) {
   const TraceReactions::One* worst = worst_of(chain);
   if (worst == nullptr) return {};

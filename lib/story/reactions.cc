@@ -156,7 +156,7 @@ class Follower {
 }  // namespace
 
 std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story) {
-  if (app.version != 2) return {};
+  if (app.sources.empty()) return {};
   auto parts = find_components(app);
   if (!parts) return {};
   return Follower(app, story, std::move(*parts)).follow();

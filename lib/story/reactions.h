@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Of a run of version 2, out of its events: how long each release took to become known at the end of
+// Of a run, out of its events: how long each release took to become known at the end of
 // each chain, and how each job lay in its window. Pure. The runtime counts the same by the origins
 // that travel with messages (lib/runtime/routes.h); here it follows who has read what.
 #pragma once
@@ -26,7 +26,7 @@ struct Reaction {
 };
 
 /// By chain, then by number. What stems from a message whose origin the trace does not hold is left
-/// out. Empty of an app of version 1.
+/// out. Empty of an app without sources.
 [[nodiscard]] std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story);
 
 /// When a job may run: from its nominal release and hold to its key, of an urgent release by as much

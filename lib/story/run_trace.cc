@@ -597,7 +597,7 @@ class Painter {
 
   /// How many activations of a module are in flight.
   void paint_in_flight(Track group) {
-    if (app_.version != 2) return;
+    if (app_.sources.empty()) return;
     std::vector<Steps> steps(scene_.modules.size());
     for (const Activation& a : story_.activations) {
       if (a.end_ns == a.begin_ns) continue;  // it never began

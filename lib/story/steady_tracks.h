@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a trace file has of a run of version 2 beside the tracks of every run (run_trace.h): chains,
+// What a trace file has of a run with sources beside the tracks of every run (run_trace.h): chains,
 // windows, what was sampled. docs/timeline.md has the picture.
 #pragma once
 

@@ -28,7 +28,7 @@ class Reader {
         if (spec.name == modules[m].name)
           most_open_[m] = static_cast<std::size_t>(std::max<std::int64_t>(1, spec.max_in_flight));
     for (const auto& [u, v] : app.samples) readers_.insert(v);
-    if (app.version == 2) learn_phases();
+    if (!app.sources.empty()) learn_phases();
   }
 
   void take(const trace::Event& event) {
@@ -132,15 +132,15 @@ class Reader {
            app_.xnodes[e.xnode].module == modules_[e.module].name;
   }
 
-  /// -1: `arg` names no source. App.json's number in version 2, else the program's.
+  /// -1: `arg` names no source. App.json's number where it has sources, else the program's.
   [[nodiscard]] int source_of(std::uint32_t arg) const {
     const std::uint32_t index = arg & ~XAUTO_TAKE_SOURCE;
-    const std::size_t known = app_.version == 2 ? app_.sources.size() : kMaxSources;
+    const std::size_t known = app_.sources.empty() ? kMaxSources : app_.sources.size();
     return (arg & XAUTO_TAKE_SOURCE) != 0 && index < known ? static_cast<int>(index) : -1;
   }
 
   [[nodiscard]] bool may_be_urgent(int source) const {
-    return app_.version == 2 && source >= 0 &&
+    return !app_.sources.empty() && source >= 0 &&
            app_.sources[static_cast<std::size_t>(source)].urgent.has_value();
   }
 
@@ -250,7 +250,7 @@ class Reader {
     const auto origin_ns = static_cast<std::int64_t>(e.seq);
     Activation& activation = open.back().activation;
     activation.takes.push_back({source, source >= 0 ? -1 : static_cast<int>(e.arg), origin_ns, -1});
-    if (app_.version != 2) return;
+    if (app_.sources.empty()) return;
     const std::int64_t later_ns =
         source < 0
             ? 0

@@ -71,7 +71,7 @@ struct Activation {
   [[nodiscard]] bool left_out() const;
   std::vector<Take> takes = {};
   std::vector<SampleRead> samples = {};
-  /// Of an app of version 2: the nominal release that keys and holds count from; 0: unknown.
+  /// Of an app with sources: the nominal release that keys and holds count from; 0: unknown.
   std::int64_t released_ns = 0;
   int urgent_source = -1;  ///< that marked the release it is made of urgent; -1: none did
   /// The oldest of what it took, from which its latency counts; 0: unknown, or one rate.

@@ -53,7 +53,7 @@ struct ChainCounts {
   bool exceeded = false;  ///< a result took longer than its worst case
 };
 
-/// A chain of an app of version 2, with its reactions.
+/// A chain of app.json, with its reactions.
 struct TraceReactions {
   std::string name, note;         ///< note: its source, and what is claimed of it
   std::int64_t deadline_us = -1;  ///< -1: none
@@ -90,7 +90,7 @@ struct ReadTrace {
   std::vector<std::string> rows;
   std::vector<TraceRelease> releases;
   std::vector<TraceChain> chains;         ///< empty: one rate, `releases` are what has a latency
-  std::vector<TraceReactions> reactions;  ///< of version 2
+  std::vector<TraceReactions> reactions;  ///< of the chains of app.json
   std::vector<ChainCounts> counts;        ///< of the whole run; empty: it went on
   std::vector<TraceScenario> scenarios;
   std::vector<TraceChange> changes;  ///< by time

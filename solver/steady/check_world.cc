@@ -58,10 +58,7 @@ std::string place(const World& w, int xnode, std::int64_t activation) {
 
 /// Indices, so that nothing below reads beside an array. What the readers refuse is not repeated.
 Status check_indices(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
-  if (app.version != 2)
-    return invalid(fmt::format("version {} has no steady state", app.version),
-                   "app '" + app.name + "'",
-                   "write it as version 2: sources with periods, see docs/formats.md");
+  if (app.sources.empty()) return invalid("no source", "app '" + app.name + "'");
   const std::size_t n = app.xnodes.size();
   if (n == 0) return invalid("no XNode", "app '" + app.name + "'");
   const auto pairs = [&](const auto& all, const char* what, bool with_itself) -> Status {

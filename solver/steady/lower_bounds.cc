@@ -210,7 +210,7 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
       for (const EdgeEnd& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
       ends[at(i)] = ready + least[at(i)];
     }
-  // Version 1's bound on the ancestors, from the nominal release on.
+  // The plan of one release's bound on the ancestors, from the nominal release on.
   std::map<int, Tick> single;
   std::vector<Tick> bounds;
   const auto bound_of = [&](int to) {

@@ -2,7 +2,7 @@
 // Lower bounds: the worst case that no keys and holds have less of, chain by chain and together.
 //
 // A way's time is its work and its waits.
-//   Work of the first component: version 1's bound of the ancestors of the XNode that is left by;
+//   Work of the first component: the bound of one release of the ancestors of the XNode that is left by;
 //   behind each sample the longest way of least WCETs; or, over the whole way at once, the longest
 //   way of any assignment that no type of XPU is overloaded by (load_bound.h).
 //   Waits: one start of a reader of period T serves, again and again, ceil(T / T_u) releases of a

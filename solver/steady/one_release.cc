@@ -149,6 +149,12 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
   return found;
 }
 
+Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
+                          const SolveOptions& options) {
+  XAUTO_ASSIGN(const Policy plan, solver::solve(app, platform, options));
+  return Baseline{by_priorities(plan, app), plan.latency_us};
+}
+
 Tick quick_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
                          const Objectives& wishes, const Until& until) {
   Tick earliest = 0;

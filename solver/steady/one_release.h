@@ -23,6 +23,15 @@ struct ReleasePlan {
 [[nodiscard]] Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& platform,
                                                       const Problem& p, SolveOptions options);
 
+/// "heft", "local": what a plan of one release by that method is as a policy of priorities, of which nothing is claimed.
+struct Baseline {
+  KeyPolicy policy;
+  std::int64_t release_us =
+      0;  ///< from the first start to the last end, each job at its WCET, no other release beside
+};
+[[nodiscard]] Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
+                                        const SolveOptions& options);
+
 /// As one_release_bound, by what takes microseconds.
 [[nodiscard]] Tick quick_release_bound(const AppSpec& app, const Platform& platform,
                                        const Problem& p, int to, const Objectives& wishes,

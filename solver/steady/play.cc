@@ -591,8 +591,26 @@ class Play {
 
 }  // namespace playing
 
+namespace {
+
+/// By its priorities. Its keys are those of nobody: no job is late.
+Result<PlayReport> play_priorities(const AppSpec& app, const Platform& platform, KeyPolicy policy,
+                                   PlayOptions options) {
+  XAUTO_TRY(validate(policy, app, platform));
+  options.rank.clear();
+  for (KeyPlacement& placed : policy.placements) {
+    options.rank.push_back(-*placed.priority);
+    placed.priority.reset();
+    placed.key_us = {kMaxPeriodUs};
+  }
+  return play(app, platform, policy, options);
+}
+
+}  // namespace
+
 Result<PlayReport> play(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
                         const PlayOptions& options) {
+  if (policy.by_priority()) return play_priorities(app, platform, policy, options);
   XAUTO_ASSIGN(const checking::World w, checking::structure(app, platform, policy, false));
   if (policy.certified && policy.chains.size() != app.chains.size())
     return fail(ErrorCode::kInvalid,

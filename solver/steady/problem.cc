@@ -418,6 +418,10 @@ struct Builder {
   Status follow(int v, std::vector<int>& way, std::vector<char>& seen, Chain& chain,
                 std::size_t& left, std::int64_t& steps) const {
     const auto add = [&]() -> Status {
+      // Roots of one component give the same way more than once; the direct one is what most have.
+      if (way.empty() && std::any_of(chain.paths.begin(), chain.paths.end(),
+                                     [](const Path& one) { return one.samples.empty(); }))
+        return {};
       if (left-- == 0)
         return fail(ErrorCode::kInvalid,
                     "more than " + std::to_string(kMostPaths) + " ways through samples",
@@ -450,7 +454,7 @@ struct Builder {
         return fail(ErrorCode::kInvalid, "an XNode that is not there", "samples");
       p.reads[at(v)] = 1;
     }
-    std::size_t left = kMostPaths;
+    std::size_t left = kMostPaths + app.chains.size();  // each has one that is direct
     for (const ChainSpec& spec : app.chains) {
       Chain chain;
       chain.name = spec.name;
@@ -499,9 +503,7 @@ struct Builder {
 Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
                                 const Objectives& wishes,
                                 const std::vector<std::pair<int, int>>& order) {
-  if (app.version != 2)
-    return fail(ErrorCode::kInvalid, "app is not of version 2", "version",
-                "version 1 is planned by solver::solve");
+  XAUTO_TRY(validate(app));
   XAUTO_ASSIGN(solver::Problem base, solver::Problem::create(app, platform));
   Objectives placing;
   placing.pins = wishes.pins;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Problem: an app of version 2 on a platform, as dense arrays. Everything in solver/steady reads it.
+// Problem: an app on a platform, as dense arrays. Everything in solver/steady reads it.
 // Words and theory: docs/steady-state.md.
 //
 // Time is in ticks: a tick is 1 / `scale` us, so that every period is whole. Keys and holds are
@@ -181,7 +181,7 @@ struct Problem {
     return scale == 1 ? t : (t + scale - 1) / scale * scale;
   }
 
-  /// kInvalid: what `validate` refuses, what is no version 2, times too long for 64 bits, too many
+  /// kInvalid: what `validate` refuses, times too long for 64 bits, too many
   /// ways for a chain, an order that is a cycle or of XNodes that are not released together; kInfeasible: pins and forbids leave
   /// nothing for an XNode. `order`: KeyPolicy::order, which the policies of this problem have.
   [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform,

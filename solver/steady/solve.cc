@@ -38,7 +38,7 @@ constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
 /// it, and for a proof that they are the best. Of a budget so many evaluations of the plan are one of keys.
 constexpr double kForPlan = 0.3, kForPlanS = 5, kForPlans = 0.1, kForProof = 0.2;
 /// Where one release is all there is: for its plan, and for the search around it so many seconds at most.
-constexpr double kForOnlyPlan = 0.7, kAroundOnlyPlanS = 0.3;
+constexpr double kForOnlyPlan = 0.7, kAroundOnlyPlanS = 0.3, kToEvaluateS = 1.5;
 constexpr std::int64_t kPlansOfEvaluation = 100;
 constexpr double kRounding = 1 + 1e-12;
 
@@ -185,6 +185,13 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
     asked.max_evaluations = options.max_evaluations * kPlansOfEvaluation;
     asked.time_limit_s = limit_s;
   }
+  if (app.one_at_a_time && options.on_progress)
+    asked.on_progress = [&options](const solver::Progress& at) {
+      options.on_progress({.elapsed_s = at.elapsed_s,
+                           .release_us = at.certified > 0 ? at.certified : at.incumbent,
+                           .release_bound_us = at.bound,
+                           .evaluations_per_s = at.evaluations_per_s});
+    };
   const Result<ReleasePlan> plan = plan_of_one_release(app, platform, p, std::move(asked));
   if (!plan && options.method != "auto") return tl::unexpected<Error>(plan.error());
   if (plan) {
@@ -337,9 +344,15 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   const Seed* seed = nullptr;
   for (const Seed& one : seeds) {
     Until brief = part_of(for_search, kForPlans);
+    Until to_evaluate = to_finish;
     if (app.one_at_a_time && limit < kNoLimitS)
       brief.deadline =
           std::min(brief.deadline, later(std::chrono::steady_clock::now(), kAroundOnlyPlanS));
+    if (app.one_at_a_time && limit < kNoLimitS && brief.over()) {
+      // Its plan took all the time, or somebody stopped it: the plan is what there is, once it is certified.
+      brief = {later(std::chrono::steady_clock::now(), kAroundOnlyPlanS)};
+      to_evaluate = {later(std::chrono::steady_clock::now(), kToEvaluateS)};
+    }
     const std::int64_t budget =
         options.max_evaluations == 0
             ? 0
@@ -347,7 +360,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
                   1, static_cast<std::int64_t>(kForPlans *
                                                static_cast<double>(options.max_evaluations)));
     Incumbents with = round.search(one.problem, reference, &one.policy, Keep::kPlacement,
-                                   {brief, to_finish, budget, brief, {}});
+                                   {brief, to_evaluate, budget, brief, {}});
     if (!with.any() || (planned && !planned->improved_by(with.best().figures))) continue;
     planned = std::move(with);
     seed = &one;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The entry for apps of version 2: AppSpec + Platform -> KeyPolicy with a certificate, a proof that
+// The entry: AppSpec + Platform -> KeyPolicy with a certificate, a proof that
 // there is none, or "unknown".
 #pragma once
 
@@ -26,6 +26,9 @@ struct Progress {
   double late = 0;  ///< largest worst case / deadline; 0: no chain has a deadline
   double sum = 0;   ///< Totals::sum
   std::int64_t evaluations = 0;
+  /// While a release is planned that is alone: how long its best plan takes, and no plan less. Else 0.
+  std::int64_t release_us = 0, release_bound_us = 0;
+  double evaluations_per_s = 0;  ///< of that
 };
 
 struct Options {
@@ -39,8 +42,8 @@ struct Options {
   const std::atomic<bool>* stop = nullptr;
   std::function<void(const Progress&)>
       on_progress;  ///< each improvement, from any thread, one at a time
-  /// Of an app that releases one at a time also "search", "ilp", "heft" and "local" (solver/solve.h): who plans the
-  /// release. The keys of such a plan are its ends, and its order stays.
+  /// Of an app that releases one at a time also "search" and "ilp" (solver/solve.h): who plans the release. The keys of
+  /// such a plan are its ends, and its order stays. HEFT and "local" have priorities: baseline() in one_release.h.
   std::string method = "auto";
   Objectives wishes;  ///< pins, forbids and groups
   bool order = true;  ///< policies may have KeyPolicy::order; tables have no place for it

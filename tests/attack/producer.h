@@ -50,7 +50,6 @@ inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
            static_cast<std::int64_t>(random.below(static_cast<std::uint64_t>(high - low + 1)));
   };
   Case c;
-  c.app.version = 2;
   c.app.name = "random";
   c.platform = {"p",
                 {{"cpu0", "cpu", wanted.preemptive, wanted.preempt_us, 0, -1, wanted.levels},

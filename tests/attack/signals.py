@@ -58,8 +58,9 @@ class Runs:
         self.write("platform.json", {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
             {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
             {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]})
-        self.write("app.json", {"schema": "xauto.app", "version": 1, "name": "testapp",
-                                "xnodes": [{"name": n, "module": m, "wcet_us": {x: 6000}} for n, m, x in xnodes],
+        self.write("app.json", {"schema": "xauto.app", "version": 3, "name": "testapp", "sources": [{"name": "src", "period_us": 20000}],
+                                "xnodes": [{"name": n, "module": m, "wcet_us": {x: 6000}} | ({"source": "src"} if n in ("a1", "b1", "d1") else {})
+                                           for n, m, x in xnodes],
                                 "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]})
         source = pathlib.Path(__file__).resolve().parents[2]
         self.steady = str(source / "examples/driving/steady.json")

@@ -5,6 +5,7 @@ XAUTO_SCREENSHOTS=FOLDER leaves pictures there. Exit status 77: there is no brow
 import json
 import os
 import pathlib
+import re
 import sys
 import tempfile
 import unittest
@@ -46,7 +47,7 @@ class Pages(unittest.TestCase):
                            "--activations", 220 if SHOTS else 3, "--time-limit-s", 1, "--out", out, "--", DRIVING)
             assert answer.returncode == 0, answer.stderr
             runs = {run["policy"]: run for run in json.loads(pathlib.Path(out, "report.json").read_text())["runs"]}
-            if SHOTS or all(runs[p]["max_us"] < 1.5 * runs[p]["predicted_us"] for p in ("heft", "xauto")):
+            if SHOTS or all(runs[p]["max_us"] < 1.5 * runs[p]["p50_us"] for p in ("heft", "xauto")):
                 break
         else:
             raise AssertionError("60 comparisons, and each was stopped by the machine")
@@ -85,7 +86,8 @@ class Pages(unittest.TestCase):
     def test_both_pages_show_every_policy_and_xpu(self):
         for page, policies in ((self.report, 2), (self.timeline, 4)):
             self.browser.open(page)
-            self.assertEqual(self.browser.js("document.querySelectorAll('#panels .card').length"), policies)
+            # The Driving Case has three results: a chain of each is drawn.
+            self.assertEqual(self.browser.js("document.querySelectorAll('#panels .card').length"), 3 * policies)
             self.assertGreater(self.browser.js(f"{BARS}.filter(b => b.getBoundingClientRect().width > 1).length"), 20 * policies)
             text = self.browser.js("document.getElementById('panels').textContent")
             for xpu in ("cpu0", "cpu1", "cpu2", "cpu3", "gpu0", "dla0"):
@@ -131,7 +133,7 @@ class Pages(unittest.TestCase):
         self.browser.move(*self.browser.middle(self.bar("ld.pre")))
         self.assertEqual(self.browser.js(shown), "block")
         text = self.browser.js("document.getElementById('tip').textContent")
-        self.assertRegex(text, r"^ld\.pre \(LD\) runs on cpu\d\n[\d.]+ – [\d.]+ ms, [\d.]+ ms\nplan: [\d.]+ – [\d.]+ ms$")
+        self.assertRegex(text, r"^ld\.pre \(LD\) runs on cpu\d\n[\d.]+ – [\d.]+ ms, [\d.]+ ms$")
         box = self.browser.js("(() => { const r = document.getElementById('tip').getBoundingClientRect();"
                               " return [r.left, r.top, innerWidth - r.right, innerHeight - r.bottom]; })()")
         self.assertGreaterEqual(min(box), 0)  # all of it is on the screen
@@ -190,16 +192,15 @@ class Pages(unittest.TestCase):
                 self.browser.screenshot(os.path.join(SHOTS, "narrow-" + os.path.basename(page) + ".png"))
 
     def test_the_number_in_the_head_is_the_one_that_the_chart_shows(self):
-        for page, which in ((self.report, "the slowest of"), (self.timeline, "the median of")):
+        for page in (self.report, self.timeline):
             self.browser.open(page)
             cards = self.browser.js("[...document.querySelectorAll('#panels .card')].map(c => "
                                     "[c.querySelector('.big').textContent, c.querySelector('.dim').textContent, "
                                     "c.querySelector('svg text.latency').textContent])")
             for big, words, drawn in cards:
                 self.assertEqual(big, drawn)
-                self.assertTrue(words.startswith(which), words)
-                if which == "the slowest of":
-                    self.assertIn("max " + big.split()[0] + ",", words)
+                self.assertTrue(words.startswith("the slowest of"), words)
+                self.assertRegex(words, "max " + re.escape(big.split()[0]) + r"(,|$)")
 
 
 if __name__ == "__main__":

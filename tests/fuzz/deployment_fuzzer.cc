@@ -8,13 +8,14 @@
 namespace {
 
 xauto::AppSpec make_app() {
-  return {1,
-          "driving",
-          {{"fcd.pre", "FCD", {{"cpu", 3000}}},
-           {"fcd.infer", "FCD", {{"gpu", 7000}}},
-           {"spur/größe", "LA~/", {{"cpu", 2500}}}},
-          {{0, 1}},
-          100000};
+  using xauto::AppSpec;
+  AppSpec app;
+  app.name = "driving";
+  app.xnodes = {{"fcd.pre", "FCD", {{"cpu", 3000}}},
+                {"fcd.infer", "FCD", {{"gpu", 7000}}},
+                {"spur/größe", "LA~/", {{"cpu", 2500}}}};
+  app.edges = {{0, 1}};
+  return app;
 }
 
 }  // namespace

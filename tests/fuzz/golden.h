@@ -3,6 +3,7 @@
 #pragma once
 
 #include "model/app.h"
+#include "model/periodic.h"
 #include "model/platform.h"
 
 namespace xauto::fuzz {
@@ -15,15 +16,21 @@ inline Platform golden_platform() {
            {"dla0", "dla", false, 132, 1000, 40}}};
 }
 
+/// Of app.json there: it releases one at a time.
 inline AppSpec golden_app() {
-  return {1,
-          "driving",
-          {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
-           {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
-           {"fcd.post", "FCD", {{"cpu", 1500}}},
-           {"spur/größe", "LA", {{"cpu", 2500}}}},
-          {{0, 1}, {1, 2}},
-          100000};
+  AppSpec app{"driving",
+              true,
+              {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}, {0}},
+               {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
+               {"fcd.post", "FCD", {{"cpu", 1500}}},
+               {"spur/größe", "LA", {{"cpu", 2500}}, {1}}},
+              {{0, 1}, {1, 2}},
+              100000,
+              {{"camera", kNoRate}, {"lidar/größe", kNoRate}}};
+  complete_modules(app);
+  complete_chains(app);
+  give_deadlines(app);
+  return app;
 }
 
 }  // namespace xauto::fuzz

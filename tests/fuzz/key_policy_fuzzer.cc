@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// policy.json and tables.json of version 2 from outside, for an app and a platform of our own: those of
-// tests/golden.
+// policy.json, and tables.json of keys, from outside, for apps and a platform of our own: those of tests/golden, one
+// with rates and one that releases one at a time.
 #include "model/json.h"
 
+#include "golden.h"
 #include "json_property.h"
 
 namespace {
 
 constexpr const char* kApp = R"json({
   "schema": "xauto.app",
-  "version": 2,
+  "version": 3,
   "name": "driving",
   "clocks": [
     { "name": "main", "ppm": 5 },
@@ -72,26 +73,20 @@ constexpr const char* kApp = R"json({
 }
 )json";
 
-xauto::Platform make_platform() {
-  return {"bench",
-          {{"cpu0", "cpu", true, 0, 0, -1},
-           {"cpu1", "cpu", true, 0, 0, -1},
-           {"gpu0", "gpu", true, 275, 1000, -1},
-           {"dla0", "dla", false, 132, 1000, 40}}};
-}
-
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace xauto;
-  static const Platform platform = make_platform();
-  static const AppSpec app = parse_app(kApp, "app").value();
-  const auto read = [](std::string_view text) {
-    return parse_key_policy(text, fuzz::kOrigin, app, platform);
-  };
-  fuzz::check_read(
-      read({reinterpret_cast<const char*>(data), size}),
-      [](const KeyPolicy& policy) { return to_json(policy, app, platform); }, read);
+  static const Platform platform = fuzz::golden_platform();
+  static const AppSpec app = parse_app(kApp, "app").value(), once = fuzz::golden_app();
+  for (const AppSpec* of : {&app, &once}) {
+    const auto read = [&](std::string_view text) {
+      return parse_key_policy(text, fuzz::kOrigin, *of, platform);
+    };
+    fuzz::check_read(
+        read({reinterpret_cast<const char*>(data), size}),
+        [&](const KeyPolicy& policy) { return to_json(policy, *of, platform); }, read);
+  }
   const auto tables = [](std::string_view text) {
     return parse_tables(text, fuzz::kOrigin, app, platform);
   };

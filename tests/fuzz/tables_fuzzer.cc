@@ -11,7 +11,7 @@ namespace {
 xauto::AppSpec make_app() {
   xauto::AppSpec app = xauto::fuzz::golden_app();
   app.xnodes[1].variants = {{"small", 60, {{"gpu", 2000}, {"cpu", 9000}}}};
-  app.modules = {{"LA", 1, true}};
+  app.modules[1].optional = true;
   return app;
 }
 

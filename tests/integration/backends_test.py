@@ -15,7 +15,7 @@ from common import BIN, XAUTO, alive, children_of, wait_for, xauto
 
 DRIVERS = ("nvgpu", "rm", "kfd", "i915")
 APP = {
-    "schema": "xauto.app", "version": 2, "name": "queues", "clocks": [],
+    "schema": "xauto.app", "version": 3, "name": "queues", "clocks": [],
     "sources": [{"name": "quick", "rate_hz": 50, "jitter_us": 1000}, {"name": "slow", "rate_hz": 5, "offset_us": 5000, "jitter_us": 1000}],
     "modules": [{"name": m, "max_in_flight": 1, "optional": False} for m in ("quickM", "slowM")],
     "xnodes": [{"name": "quick.run", "module": "quickM", "source": "quick", "wcet_us": {"gpu": 1000}},

@@ -9,15 +9,15 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, QUEUES, XAUTO, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, sourced, wait_for, xauto
 
 FRAMESAPP = str(BIN / "framesapp")
 BUFFERS = 6
 PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "test",
             "xpus": [{"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0}]}
-APP = {"schema": "xauto.app", "version": 1, "name": "framesapp",
-       "xnodes": [{"name": name + ".x", "module": name, "wcet_us": {"cpu": 1000}} for name in ("look", "crop", "end")],
-       "edges": [["crop.x", "end.x"]]}
+APP = sourced({"name": "framesapp",
+               "xnodes": [{"name": name + ".x", "module": name, "wcet_us": {"cpu": 1000}} for name in ("look", "crop", "end")],
+               "edges": [["crop.x", "end.x"]]}, "frames", 5000)
 
 
 class Buffers(unittest.TestCase):
@@ -28,7 +28,7 @@ class Buffers(unittest.TestCase):
         for name, value in (("platform.json", PLATFORM), ("app.json", APP), ("deployment.json", {
                 "schema": "xauto.deployment", "version": 1, "app": "framesapp", **QUEUES})):
             (self.folder / name).write_text(json.dumps(value))
-        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--method", "heft", "--out", "policy.json",
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--out", "policy.json",
                      cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
 

@@ -62,9 +62,20 @@ TESTAPP = str(BIN / "testapp")
 QUEUES = {"queue_depth": 256, "keep": 256, "defaults": {"overload": "queue:256"}}  # of a deployment: nothing is lost
 
 
-def testapp_files(folder, deployment=None, **of_app):
+def sourced(app, source, period_us=0):
+    """`app`, of one source that all hear who wait for nobody. Without a period it releases one at a time."""
+    waits = {v for _, v in app["edges"]}
+    for xnode in app["xnodes"]:
+        if xnode["name"] not in waits:
+            xnode["source"] = source
+    return {"schema": "xauto.app", "version": 3, "sources": [{"name": source} | ({"period_us": period_us} if period_us else {})],
+            **app}
+
+
+def testapp_files(folder, deployment=None, period_us=0, **of_app):
     """app.json, platform.json and policy.json of tests/integration/apps/testapp.cc, and the arguments of `run` that
-    name them. `of_app`: further keys of the app; `deployment`: keys of a deployment.json."""
+    name them. `of_app`: further keys of the app; `deployment`: keys of a deployment.json. `period_us`: of its source;
+    without one it releases one at a time."""
     def write(name, value):
         path = os.path.join(folder, name)
         pathlib.Path(path).write_text(json.dumps(value))
@@ -74,11 +85,11 @@ def testapp_files(folder, deployment=None, **of_app):
     platform = write("platform.json", {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
         {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
         {"id": "npu0", "type": "npu", "preemptive": False, "preempt_us": 100, "timeslice_us": 500}]})
-    app = write("app.json", {"schema": "xauto.app", "version": 1, "name": "testapp",
-                             "xnodes": [{"name": n, "module": m, "wcet_us": {x: 1000}} for n, m, x in xnodes],
-                             "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]], **of_app})
+    app = write("app.json", sourced({"name": "testapp",
+                                     "xnodes": [{"name": n, "module": m, "wcet_us": {x: 1000}} for n, m, x in xnodes],
+                                     "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]], **of_app}, "src", period_us))
     policy = os.path.join(folder, "policy.json")
-    done = xauto("solve", "--app", app, "--platform", platform, "--method", "heft", "--out", policy)
+    done = xauto("solve", "--app", app, "--platform", platform, "--max-evaluations", 200, "--out", policy)
     assert os.path.exists(policy), done.stderr  # status 1: no policy keeps the deadline, but there is one
     arguments = ["--app", app, "--platform", platform, "--policy", policy]
     if deployment is not None:

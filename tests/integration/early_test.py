@@ -34,7 +34,7 @@ class Early(unittest.TestCase):
     def run_app(self, *flags, lidar_offset_us=0, polled=("polled",)):
         """The report, and {activation: (camera began, lidar ended)} in us since the nominal release of the camera."""
         source = {"period_us": 20_000, "jitter_us": 1000}
-        self.write("app", {"schema": "xauto.app", "version": 2, "name": "urgentapp", "edges": [],
+        self.write("app", {"schema": "xauto.app", "version": 3, "name": "urgentapp", "edges": [],
                            "sources": [{"name": "camera", **source},
                                        {"name": "lidar", **source, "offset_us": lidar_offset_us}],
                            "xnodes": [{"name": f"{n}.run", "module": f"{n}M", "source": n, "wcet_us": {"gpu": us}}

@@ -18,11 +18,11 @@ sys.path.insert(0, str(GOLDEN / "errors"))
 from cases import cases  # noqa: E402
 
 COMMANDS = {
-    "app": lambda f: ["simulate", "--model", "ros2", "--app", f],
-    "app-2": lambda f: ["simulate", "--model", "ros2", "--app", f],
-    "platform": lambda f: ["simulate", "--model", "ros2", "--app", GOLDEN / "app.json", "--platform", f],
+    "app": lambda f: ["graph", "--app", f],
+    "platform": lambda f: ["solve", "--app", GOLDEN / "app.json", "--platform", f],
     "policy": lambda f: ["check", "--app", GOLDEN / "app.json", "--platform", GOLDEN / "platform.json",
                          "--policy", f],
+    "policy-keys": lambda f: ["check", "--app", GOLDEN / "app-rates.json", "--platform", GOLDEN / "platform.json", "--policy", f],
     "profile": lambda f: ["profile", "--read", f],
     "recording": lambda f: ["record", "check", f],
     "mcap": lambda f: ["record", "check", f],
@@ -57,14 +57,12 @@ class Errors(unittest.TestCase):
     def test_app(self):
         self.refuse("app")
 
-    def test_app_of_version_2(self):
-        self.refuse("app-2")
-
     def test_platform(self):
         self.refuse("platform")
 
     def test_policy(self):
-        self.refuse("policy")
+        for kind in ("policy", "policy-keys"):
+            self.refuse(kind)
 
     def test_profile(self):
         self.refuse("profile")
@@ -75,28 +73,27 @@ class Errors(unittest.TestCase):
     def test_mcap(self):
         self.refuse("mcap")
 
-    def test_profile_writes_version_2_where_it_can(self):
+    def test_profile_writes_the_rates_of_the_sources(self):
         profile = json.loads((GOLDEN / "profile-sources.json").read_text())
         with tempfile.TemporaryDirectory() as folder:
             folder = pathlib.Path(folder)
 
-            def written(*arguments):
+            def written():
                 (folder / "profile.json").write_text(json.dumps(profile))
                 done = xauto("profile", "--read", "profile.json", "--platform", GOLDEN / "platform.json", "--app-out",
-                             "app.json", *arguments, cwd=folder)
+                             "app.json", cwd=folder)
                 self.assertEqual(done.returncode, 0, done.stderr)
                 return json.loads((folder / "app.json").read_text()), done.stderr
 
             app, said = written()
-            self.assertEqual(app["version"], 2)
-            self.assertIn("its sources have several rates", said)
+            self.assertEqual(app["version"], 3)
             (folder / "app.json").unlink()  # what was asked for in it would stay
             self.assertNotIn("'camera' is pushed", said)
             self.assertIn("source 'camera' has period_us 33333, and 30 Hz is none of whole us", said)
             self.assertIn("source 'lidar/größe' is pushed, and its grid was not measured: period_us 100000 is the least", said)
             self.assertNotIn("pushed", json.dumps(app))
             del profile["sources"][1]["pushed"]
-            self.assertEqual(written("--app-version", 2)[0], app)
+            self.assertEqual(written()[0], app)
             self.assertEqual(app["chains"], [{"name": "camera -> fcd.infer", "from": "camera", "to": "fcd.infer"}])
             profile["xnodes"][0]["source"] = ["camera", "lidar/größe"]
             (folder / "app.json").unlink()
@@ -109,7 +106,7 @@ class Errors(unittest.TestCase):
 
     def test_usage(self):
         for arguments in ([], ["nonsense"], ["solve"], ["simulate", "--app"], ["run", "--app", "x"],
-                          ["simulate", "--model", "cyberrt", "--app", GOLDEN / "app.json"]):
+                          ["solve", "--method", "cyberrt", "--app", GOLDEN / "app.json"]):
             with self.subTest(arguments=arguments):
                 self.assertEqual(xauto(*arguments).returncode, 2)
         for option in ("--time-limit-s", "--regret"):
@@ -123,7 +120,7 @@ class Errors(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             given = pathlib.Path(folder) / "a.json"
             given.write_text('{"schema":"xauto.app","version":1,"junk":[0' + ",0" * 8_000_000 + "]}")
-            result = xauto("simulate", "--model", "ros2", "--app", "a.json", cwd=folder)
+            result = xauto("graph", "--app", "a.json", cwd=folder)
             self.assertEqual(result.returncode, 2)
             self.assertIn("a.json: has more than 8000000 values", result.stderr)
 
@@ -201,7 +198,7 @@ class Errors(unittest.TestCase):
             self.assertIn("cannot be written: Interrupted system call", err)
 
     def test_missing_files(self):
-        result = xauto("simulate", "--model", "ros2", "--app", "/nowhere/app.json")
+        result = xauto("graph", "--app", "/nowhere/app.json")
         self.assertEqual(result.returncode, 2)
         self.assertIn("/nowhere/app.json: cannot be opened: No such file or directory", result.stderr)
 

@@ -51,9 +51,9 @@ class Gate(unittest.TestCase):
         self.assertEqual((done.returncode, run["lost_activations"]), (1, 1), done.stderr)
         self.assertIn("error: run policy: 1 of 20 activations were lost (of XModule A: 1 failed, 0 dropped; "
                       "C: 0 failed, 1 dropped)\n", done.stderr)
-        # B needs 50 ms for each of what comes every millisecond.
-        done = xauto("run", *testapp_files(self.folder), "--activations", 200, "--json", "--", TESTAPP,
-                     os.path.join(self.folder, "result"), "period", 1000, "slow", "B", 0, 50)
+        # B needs 50 ms for each of what comes every 10 ms.
+        done = xauto("run", *testapp_files(self.folder, period_us=10_000), "--activations", 200, "--json", "--",
+                     TESTAPP, os.path.join(self.folder, "result"), "slow", "B", 0, 50)
         lost = json.loads(done.stdout)["runs"][0]["lost_activations"]
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertIn(f"error: run policy: {lost} of 200 activations were lost", done.stderr)
@@ -71,14 +71,14 @@ class Gate(unittest.TestCase):
         self.assertEqual((done.returncode, run["fail_on"]), (0, {"hang": 0}), done.stderr)
 
     def test_a_coordinator_that_was_started_again(self):
-        files = testapp_files(self.folder)
+        files = testapp_files(self.folder, period_us=20_000)
 
         def coordinators(tool):
             return {pid for pid, name in children_of(tool.pid).items() if name == "xauto-coordinat"}
 
         for words, status in ([], 0), (["--fail-on", "restart,lost"], 1):  # what queues meanwhile is not lost
             tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "0", "--overload", "queue:256", "--json",
-                                     *words, "--", TESTAPP, os.path.join(self.folder, "result"), "period", "20000"],
+                                     *words, "--", TESTAPP, os.path.join(self.folder, "result")],
                                     stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             self.addCleanup(tool.kill)
             wait_for("results", lambda: activations(tool).get("C", 0) > 2, tool)
@@ -107,7 +107,7 @@ class Gate(unittest.TestCase):
         return app, policy
 
     def test_deadlines_of_chains(self):
-        """Of an app of version 2 the chains have them, and the app has none."""
+        """Each chain has its own, and the app has none."""
         app, policy, script = (f"{self.folder}/{name}.json" for name in ("app", "p", "script"))
         spec = json.loads((SOURCE / "examples/driving/steady.json").read_text())
 
@@ -197,10 +197,11 @@ class Gate(unittest.TestCase):
         self.assertNotIn("xauto check", xauto(*run).stderr)
         policy = pathlib.Path(files[files.index("--policy") + 1])
         edited = json.loads(policy.read_text())
-        edited["worst_case_us"] = edited["latency_us"] - 1
+        edited["chains"][0]["worst_case_us"] -= 1
         policy.write_text(json.dumps(edited))
         done = xauto(*run)
-        self.assertIn("policy.json: `xauto check` refuses it here: worst_case_us", done.stderr)
+        self.assertIn("policy.json: `xauto check` refuses it here: chain 'src -> c1': worst_case_us is 2999",
+                      done.stderr)
         self.assertIn("`xauto check` refuses the policy", "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))
 
     def test_what_cannot_be_is_refused(self):

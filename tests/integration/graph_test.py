@@ -69,9 +69,9 @@ class Graph(unittest.TestCase):
         done = xauto("graph", "--app", APP, "--svg", self.folder / "no/such.svg")
         self.assertEqual(done.returncode, 2)
         self.assertIn("no/such.svg", done.stderr)
-        done = xauto("graph", "--app", APP, "--policy", SOURCE / "tests/golden/policy-2.json")
+        done = xauto("graph", "--app", APP, "--policy", SOURCE / "tests/golden/policy-keys.json")
         self.assertEqual(done.returncode, 2)
-        self.assertIn("policy-2.json", done.stderr)
+        self.assertIn("policy-keys.json", done.stderr)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A suspended job that a more urgent one waits for gets that one's urgency, and the run says so.
+"""A suspended job that a more urgent one waits for gets that one's urgency, and the run says so. The policy's
+keys are written here, and `xauto check` says that they hold: of two releases the second's job of P has time until
+40 ms after the first's release, M's until 38 ms, and the first's job of C until 30 ms.
 
 Without it no round of tests/integration/apps/heldup.cc ever ends. No test here depends on time: 20 s are the app's
 patience."""
@@ -11,10 +13,11 @@ import re
 import tempfile
 import unittest
 
-from common import BIN, xauto
+from common import BIN, sourced, xauto
 
 HELDUP = str(BIN / "heldup")
-PLACES = {"p.work": ("gpu0", 1), "m.meet": ("cpu1", 1), "m.work": ("gpu0", 2), "c.meet": ("cpu0", 2)}
+PLACES = {"p.work": "gpu0", "m.meet": "cpu1", "m.work": "gpu0", "c.meet": "cpu0"}
+KEYS = {"p.work": 20_000, "m.meet": 6000, "m.work": 18_000, "c.meet": 25_000, "c.work": 30_000}
 
 
 class HeldUp(unittest.TestCase):
@@ -34,19 +37,21 @@ class HeldUp(unittest.TestCase):
         platform = self.path("platform.json", {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
             {"id": i, "type": t, "preemptive": p, "preempt_us": 0} for i, t, p in xpus]})
         types = {"p.work": ["gpu"], "m.meet": ["cpu"], "m.work": ["gpu"], "c.meet": ["cpu"], "c.work": ["dla", "gpu"]}
-        spec = self.path("app.json", {
-            "schema": "xauto.app", "version": 1, "name": "heldup",
+        spec = self.path("app.json", sourced({
+            "name": "heldup",
             "xnodes": [{"name": n, "module": n[0].upper(), "wcet_us": dict.fromkeys(on, 5000)} for n, on in types.items()],
-            "edges": [["p.work", "c.meet"], ["c.meet", "c.work"], ["m.meet", "m.work"]]})
+            "edges": [["p.work", "c.meet"], ["c.meet", "c.work"], ["m.meet", "m.work"]]}, "tick", 20_000))
         policy = self.path("policy.json")
-        done = xauto("solve", "--app", spec, "--platform", platform, "--method", "heft", "--out", policy)
+        done = xauto("solve", "--app", spec, "--platform", platform, "--out", policy)
         self.assertEqual(done.returncode, 0, done.stderr)
         chosen = json.loads(pathlib.Path(policy).read_text())
-        for xnode in chosen["xnodes"]:
-            xnode["xpu"], xnode["priority"] = {**PLACES, "c.work": (c_on, 3)}[xnode["name"]]
+        chosen["xnodes"] = [{"name": n, "xpu": {**PLACES, "c.work": c_on}[n], "key_us": [KEYS[n]]} for n in types]
         chosen.pop("order", None)
-        chosen["worst_case_us"] = 100_000
+        for chain in chosen["chains"]:
+            chain.update(worst_case_us=KEYS[chain["name"].removeprefix("tick -> ")], lower_bound_us=0, optimal=False)
         self.path("policy.json", chosen)
+        done = xauto("check", "--app", spec, "--platform", platform, "--policy", policy)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         done = xauto("run", "--app", spec, "--platform", platform, "--policy", policy, "--emulate", "cpu,gpu,dla",
                      "--activations", 10, "--overload", "queue:64", "--json", "--trace-out", self.path("run.pftrace"), *flags,
                      "--", HELDUP, self.path("shared"), *app, timeout=240)

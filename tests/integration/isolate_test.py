@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, QUEUES, XAUTO, activations, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, activations, sourced, wait_for, xauto
 
 TESTAPP = str(BIN / "testapp")
 PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
@@ -24,15 +24,33 @@ class Case(unittest.TestCase):
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.folder.cleanup)
-        path = cls.path
-        pathlib.Path(path("platform.json")).write_text(json.dumps(PLATFORM))
-        pathlib.Path(path("app.json")).write_text(json.dumps({
-            "schema": "xauto.app", "version": 1, "name": "testapp",
-            "xnodes": [{"name": n, "module": m, "wcet_us": {x: 200}} for n, m, x in XNODES],
-            "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}))
-        done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--method", "heft",
-                     "--out", path("policy.json"))
-        assert done.returncode == 0, done.stderr
+        pathlib.Path(cls.path("platform.json")).write_text(json.dumps(PLATFORM))
+        cls.made = {}
+
+    @classmethod
+    def files(cls, period, more=()):
+        """The app at this period, and a policy of priorities for it. With `room` modules may have
+        several activations at once."""
+        room = int(more[list(more).index("room") + 1]) if "room" in more else 1
+        key = (period, room)
+        if key not in cls.made:
+            app, policy = cls.path(f"app-{period}-{room}.json"), cls.path(f"policy-{period}-{room}.json")
+            pathlib.Path(app).write_text(json.dumps(sourced({
+                "name": "testapp", "modules": [{"name": m, "max_in_flight": room} for m in "ABCD"],
+                "xnodes": [{"name": n, "module": m, "wcet_us": {x: 200}} for n, m, x in XNODES],
+                "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}, "src", period)))
+            done = xauto("solve", "--app", app, "--platform", cls.path("platform.json"), "--max-evaluations", 200,
+                         "--time-limit-s", 2, "--out", policy)
+            assert os.path.exists(policy), done.stderr
+            # By priorities: nobody waits for another module's job but for its message.
+            made = json.loads(pathlib.Path(policy).read_text())
+            made["xnodes"] = [{"name": x["name"], "xpu": x["xpu"], "priority": 9 - k} for k, x in enumerate(made["xnodes"])]
+            made["certified"] = False
+            made.pop("order", None)
+            made.pop("chains", None)
+            pathlib.Path(policy).write_text(json.dumps(made))
+            cls.made[key] = ["--app", app, "--policy", policy]
+        return cls.made[key]
 
     @classmethod
     def path(cls, name):
@@ -45,8 +63,7 @@ class Case(unittest.TestCase):
 
     @classmethod
     def command(cls, *flags, fault=(), period=2000, activations=200, more=()):
-        return [XAUTO, "run", "--app", cls.path("app.json"), "--policy", cls.path("policy.json"), "--platform",
-                cls.path("platform.json"), "--real", "--json", "--activations", str(activations), *map(str, flags),
+        return [XAUTO, "run", *cls.files(period, more), "--platform", cls.path("platform.json"), "--real", "--json", "--activations", str(activations), *map(str, flags),
                 "--", TESTAPP, cls.path("result"), *map(str, fault), "period", str(period), *map(str, more)]
 
     def run_app(self, *flags, status=0, **keywords):

@@ -12,7 +12,7 @@ import tempfile
 import time
 import unittest
 
-from common import APP, BIN, DRIVING, FULL, XAUTO, activations, alive, children_of, wait_for, xauto
+from common import APP, BIN, DRIVING, FULL, XAUTO, activations, alive, children_of, sourced, wait_for, xauto
 
 TESTAPP = str(BIN / "testapp")
 
@@ -32,14 +32,14 @@ def emulated_testapp(folder, *flags, period_us=15000, work_us=3000):
         "schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
             {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
             {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]}))
-    pathlib.Path(path("app.json")).write_text(json.dumps({
-        "schema": "xauto.app", "version": 1, "name": "testapp",
+    pathlib.Path(path("app.json")).write_text(json.dumps(sourced({
+        "name": "testapp",
         "xnodes": [{"name": n, "module": m, "wcet_us": {x: 3000}} for n, m, x in xnodes],
-        "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}))
+        "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}, "src", period_us)))
     # What waits between processes while the emulator is dead is not lost either.
     pathlib.Path(path("deployment.json")).write_text(json.dumps({
         "schema": "xauto.deployment", "version": 1, "app": "testapp", "queue_depth": 256, "keep": 256}))
-    done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--method", "heft",
+    done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--max-evaluations", 200,
                  "--out", path("policy.json"))
     assert done.returncode == 0, done.stderr
     return [XAUTO, "run", "--deployment", path("deployment.json"), "--app", path("app.json"), "--policy", path("policy.json"), "--platform",

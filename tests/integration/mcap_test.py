@@ -63,7 +63,7 @@ class Case(unittest.TestCase):
 
     def run_app(self, *arguments, result="result"):
         """In lockstep: no message is lost. The app's results, of which each depends on the message it is of."""
-        done = xauto("run", *self.files, "--lockstep", *arguments, "--", TESTAPP, self.path(result), "period", "20000")
+        done = xauto("run", *self.files, "--lockstep", *arguments, "--", TESTAPP, self.path(result))
         self.assertEqual(done.returncode, 0, done.stderr)
         return pathlib.Path(self.path(result)).read_text()
 

@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, QUEUES, XAUTO, socket_of, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, socket_of, sourced, wait_for, xauto
 
 PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
     {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0}]}
@@ -26,10 +26,10 @@ class Params(unittest.TestCase):
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
         self.write("platform.json", PLATFORM)
-        self.write("app.json", {"schema": "xauto.app", "version": 1, "name": "params",
+        self.write("app.json", sourced({"name": "params",
                                 "xnodes": [{"name": n, "module": m, "wcet_us": {"cpu": 200}} for n, m in XNODES],
-                                "edges": [["a.first", "a.second"], ["a.second", "b.only"]]})
-        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--method", "heft", "--out", "policy.json",
+                                "edges": [["a.first", "a.second"], ["a.second", "b.only"]]}, "tick"))
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--out", "policy.json",
                      cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
 
@@ -246,10 +246,10 @@ class Instances(Params):
 
     def plan(self, **names):
         self.deploy(**names)
+        (self.folder / "app.json").unlink(missing_ok=True)  # it states no source, and what is asked in it would stay
         done = self.profile("--deployment", "deployment.json")
         self.assertEqual(done.returncode, 0, done.stderr)
-        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--method", "heft", "--out", "policy.json",
-                     cwd=self.folder)
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--out", "policy.json", cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
 
     def command(self, *flags, deploy=True, activations=0, app=()):

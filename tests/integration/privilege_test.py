@@ -29,7 +29,7 @@ class Privilege(unittest.TestCase):
         self.addCleanup(shutil.rmtree, self.folder)
         for program in ("xauto", "xauto-coordinator", "xauto-emud", "testapp"):
             shutil.copy(common.BIN / program, self.folder)
-        self.arguments = common.testapp_files(self.folder)
+        self.arguments = common.testapp_files(self.folder, period_us=20_000)
         for file in self.folder.glob("*.json"):
             file.chmod(0o644)
         self.folder.chmod(0o777)
@@ -53,7 +53,7 @@ class Privilege(unittest.TestCase):
         return out, err
 
     def run_app(self, *options, **more):
-        return self.start("xauto", "run", *self.arguments, "--period-us", "20000", "--overload", "queue:256", *options, "--",
+        return self.start("xauto", "run", *self.arguments, "--overload", "queue:256", *options, "--",
                           str(self.folder / "testapp"), str(self.folder / "results"), **more)
 
     def realtime(self, **more):

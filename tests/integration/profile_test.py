@@ -79,7 +79,7 @@ class RealAndEmulated(Case):
         here = self.read("here.json")
         self.assertEqual([x["id"] for x in here["xpus"] if x["type"] == "cpu"], [f"cpu{i}" for i in range(len(CORES))])
         self.profile("here.json")
-        self.good("solve", "--app", "app.json", "--platform", "here.json", "--method", "heft", "--out", "policy.json")
+        self.good("solve", "--app", "app.json", "--platform", "here.json", "--out", "policy.json")
         run = self.good("run", "--app", "app.json", "--platform", "here.json", "--policy", "policy.json", "--lockstep",
                         "--activations", 20, "--json", "--", STAGES, "result")
         report = json.loads(run.stdout)
@@ -98,8 +98,9 @@ class RealAndEmulated(Case):
         self.profile("here.json")
         app = self.read("app.json")
         next(x for x in app["xnodes"] if x["name"] == "m.work")["wcet_us"] = {"cpu": 100_000}  # no stall is as long
+        app["sources"][0]["period_us"] = 200_000  # so that keys keep up
         (self.folder / "app.json").write_text(json.dumps(app))
-        self.good("solve", "--app", "app.json", "--platform", "here.json", "--method", "heft", "--out", "policy.json")
+        self.good("solve", "--app", "app.json", "--platform", "here.json", "--out", "policy.json")
         run = self.good("run", "--app", "app.json", "--platform", "here.json", "--policy", "policy.json", "--lockstep",
                         "--activations", 20, "--json", "--", STAGES, "result", "once", 9, 500)
         report = json.loads(run.stdout)["runs"][0]
@@ -120,7 +121,7 @@ class RealAndEmulated(Case):
         self.assertNotIn("real_on", app["m.infer"])
         self.assertIn("real", done.stdout)
         # A placement on a core that is there runs, on one that is not is refused before anything starts.
-        self.good("solve", "--app", "app.json", "--platform", "small", "--method", "heft", "--out", "policy.json")
+        self.good("solve", "--app", "app.json", "--platform", "small", "--out", "policy.json")
         policy = self.read("policy.json")
         work = next(x for x in policy["xnodes"] if x["name"] == "m.work")
         for xpu, status in (("cpu0", 0), ("cpu3", 2)):
@@ -137,7 +138,7 @@ class RealAndEmulated(Case):
         self.profile("small", "--emulate", "gpu,dla")
         self.assertEqual(sorted(self.on("m.prep")), [f"cpu{i}" for i in range(len(CORES))], "real, as the others")
         self.assertGreaterEqual(self.on("m.prep")["cpu0"]["min_us"], 1000, "keeps the core busy for as long")
-        self.good("solve", "--app", "app.json", "--platform", "small", "--method", "heft", "--out", "policy.json")
+        self.good("solve", "--app", "app.json", "--platform", "small", "--out", "policy.json")
         refused = self.good("run", "--app", "app.json", "--policy", "policy.json", "--emulate", "gpu,tpu", "--", STAGES,
                             status=2)
         self.assertIn("'tpu' is no XPU of platform 'small'", refused.stderr)
@@ -163,6 +164,33 @@ class RealAndEmulated(Case):
                          "app.json", "--", BIN / "camera")
         self.assertIn("(emulated)", done.stdout)
         self.assertNotIn("real_on", (self.folder / "app.json").read_text())
+
+
+class OneRate(Case):
+    """The camera's module: one source, one chain, and its keys claim what the run keeps."""
+
+    def test_its_policy_claims_the_chain(self):
+        self.profile("small", app=(str(BIN / "camera"),))
+        app = self.read("app.json")
+        ends = ("camera/image", "camera.postprocess")
+        self.assertEqual([(s["name"], s["period_us"]) for s in app["sources"]], [("camera/image", 33000)])
+        self.assertEqual([(c["from"], c["to"]) for c in app["chains"]], [ends])
+        jitter = self.read("profile.json")["sources"][0]["jitter_us"]
+        self.assertEqual(app["sources"][0]["jitter_us"], jitter)
+        files = ("--app", "app.json", "--platform", "small")
+        self.good("solve", *files, "--out", "policy.json")
+        policy = self.read("policy.json")
+        wcet = {x["name"]: x["wcet_us"] for x in app["xnodes"]}
+        least = jitter + sum(min(times.values()) for times in wcet.values())
+        chain, = policy["chains"]
+        self.assertEqual((chain["worst_case_us"], chain["lower_bound_us"], chain["optimal"]), (least, least, True))
+        self.assertIn("tells the truth", self.good("check", *files, "--policy", "policy.json").stdout)
+        policy["chains"][0]["worst_case_us"] -= 1
+        (self.folder / "lie.json").write_text(json.dumps(policy))
+        self.good("check", *files, "--policy", "lie.json", status=1)
+        run = json.loads(self.good("run", *files, "--policy", "policy.json", "--activations", 20, "--lockstep", "--json", "--",
+                                   BIN / "camera").stdout)["runs"][0]
+        self.assertEqual((run["activations"], run["lost_activations"]), (20, 0))
 
 
 class Memory(Case):

@@ -12,7 +12,7 @@ import tempfile
 import time
 import unittest
 
-from common import BIN, QUEUES, XAUTO, activations, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, activations, sourced, wait_for, xauto
 from dds_test import DOMAIN, LOOPBACK
 import ros2_test
 
@@ -34,9 +34,10 @@ class Runs(unittest.TestCase):
         self.folder = pathlib.Path(folder.name)
         self.write("platform", {"schema": "xauto.platform", "version": 1, "name": "one", "xpus": [
             {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 100}]})
-        self.write("app", {"schema": "xauto.app", "version": 1, "name": "ros2_relay", "xnodes": [
-            {"name": "relay.change", "module": "relay", "wcet_us": {"cpu": 5000}}], "edges": []})
-        done = xauto("solve", *self.files("app", "platform"), "--method", "heft", "--out", self.folder / "policy.json")
+        # Without a rate: each message is a release, whenever it comes, and none is lost.
+        self.write("app", sourced({"name": "ros2_relay", "xnodes": [
+            {"name": "relay.change", "module": "relay", "wcet_us": {"cpu": 5000}}], "edges": []}, "there"))
+        done = xauto("solve", *self.files("app", "platform"), "--out", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stderr)
 
     def write(self, name, content):

@@ -59,10 +59,9 @@ class Recorder(unittest.TestCase):
         return pftrace.Trace(pathlib.Path(self.path(name)).read_bytes())
 
     def test_a_miss_is_written_while_the_run_goes_on(self):
-        files = testapp_files(self.folder, deadline_us=1_000_000)
+        files = testapp_files(self.folder, period_us=50_000, deadline_us=1_000_000)
         tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "0", "--overload", "queue:64", "--trace-out",
-                                 self.path("t.pftrace"), "--", TESTAPP, self.path("result"), "period", "50000", "hang",
-                                 "B", "20", "1500"],
+                                 self.path("t.pftrace"), "--", TESTAPP, self.path("result"), "hang", "B", "20", "1500"],
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             trace = self.until_there(tool, "t.miss-1.pftrace")
@@ -79,10 +78,10 @@ class Recorder(unittest.TestCase):
         self.assertLessEqual(len([n for n in os.listdir(self.folder) if ".miss-" in n]), 3)
 
     def test_a_hang_is_written_while_it_hangs(self):
-        files = testapp_files(self.folder, {"modules": {"D": {"hang_us": 100_000, "on_hang": "log"}}})
+        files = testapp_files(self.folder, {"modules": {"D": {"hang_us": 100_000, "on_hang": "log"}}}, period_us=50_000)
         tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "0", "--overload", "queue:64", "--trace-out",
                                  self.path("t"), "--",
-                                 TESTAPP, self.path("result"), "period", "50000", "hang", "D", "10", "4000"],
+                                 TESTAPP, self.path("result"), "hang", "D", "10", "4000"],
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             trace = self.until_there(tool, "t.hang-1.pftrace")

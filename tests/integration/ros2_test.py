@@ -25,8 +25,8 @@ class Ros2(unittest.TestCase):
             (folder / "platform.json").write_text(json.dumps(
                 {"schema": "xauto.platform", "version": 1, "name": "one",
                  "xpus": [{"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 100}]}))
-            tool("profile", "--platform", "platform.json", "--repetitions", "5", "--app-version", "2", "--app-out",
-                 "app.json", "--", GATE)
+            tool("profile", "--platform", "platform.json", "--repetitions", "5", "--app-out", "app.json", "--",
+                 GATE)
             app = json.loads((folder / "app.json").read_text())
             self.assertEqual({(x["name"], x["module"], x["source"]) for x in app["xnodes"]},
                              {("detect.callback", "detect", "detect/ready"),

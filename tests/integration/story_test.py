@@ -233,7 +233,7 @@ class Story(unittest.TestCase):
                      "--seconds", 1.5, "--time-limit-s", 1, "--out", self.folder / "compared", "--", BIN / "driving-steady")
         self.assertEqual(done.returncode, 0, done.stderr)
         runs = json.loads((self.folder / "compared/report.json").read_text())["runs"]
-        self.assertEqual([r["policy"] for r in runs], ["ros2", "fixed", "keys"])
+        self.assertEqual([r["policy"] for r in runs], ["ros2", "fixed", "xauto"])
         lines = done.stdout.splitlines()
         for i, chain in enumerate(self.app["chains"]):
             at = lines.index("  " + chain["name"])
@@ -244,15 +244,15 @@ class Story(unittest.TestCase):
                 self.assertTrue(line.startswith("    " + run["name"]), line)
                 number = line[len("    " + run["name"]):].split()
                 self.assertEqual(number[:3], [f"{counted['latency_us'][q] / 1000:.2f}" for q in ("p50", "p99", "max")])
-                self.assertEqual("worst_case_us" in counted, run["policy"] == "keys")
-                if run["policy"] == "keys":
+                self.assertEqual("worst_case_us" in counted, run["policy"] == "xauto")
+                if run["policy"] == "xauto":
                     mark = "*" if run["worst_case_broken"] or run["worst_case_exceeded"] else ""
                     self.assertEqual(number[3], f"{mark}{counted['worst_case_us'] / 1000:.2f}")
                 else:
                     self.assertEqual(number[3:5], ["-", "-"])
-        # Priorities are version 1's: that solver's answer for XNodes and edges alone, and it ran so.
+        # It ran by its priorities.
         fixed = json.loads((self.folder / "compared/fixed.policy.json").read_text())
-        self.assertEqual(fixed["version"], 1)
+        self.assertIs(fixed["certified"], False)
         trace = pftrace.Trace((self.folder / "compared/fixed.pftrace").read_bytes())
         priority = {x["name"]: (x["xpu"], x["priority"]) for x in fixed["xnodes"]}
         for s in trace.slices:
@@ -311,12 +311,6 @@ class Story(unittest.TestCase):
             self.assertIn("(--lockstep)", text)
             for chain in self.policy["chains"]:
                 self.assertIn(f"*{chain['worst_case_us'] / 1000:.2f}", text)
-
-    def test_a_policy_of_the_other_version_is_refused(self):
-        for app, policy in ((APP, "heft"), (SOURCE / "examples/driving/app.json", "keys")):
-            done = xauto("compare", "--app", app, "--platform", "small", "--policies", policy, "--out", self.folder / "x", "--", "true")
-            self.assertEqual(done.returncode, 2, done.stderr)
-            self.assertIn(f"'{policy}' is not for an app of this version", done.stderr)
 
 
 if __name__ == "__main__":

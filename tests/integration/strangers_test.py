@@ -42,7 +42,7 @@ def listen(name, backlog=128):
 class Strangers(unittest.TestCase):
     def setUp(self):
         self.folder = tempfile.mkdtemp()
-        self.files = testapp_files(self.folder, QUEUES)
+        self.files = testapp_files(self.folder, QUEUES, period_us=20_000)
 
     def stranger(self, act):
         """Another user's process that calls `act(ready)`, until the test ends. Returns once it has called `ready`."""
@@ -76,7 +76,7 @@ class Strangers(unittest.TestCase):
     def start(self, *options, activations=0, stderr=subprocess.PIPE, **more):
         """A run, until it is told to end."""
         tool = subprocess.Popen([XAUTO, "run", *self.files, "--activations", str(activations), "--out", os.path.join(self.folder, "report.json"), *options,
-                                 "--", TESTAPP, os.path.join(self.folder, "result"), "period", "20000",
+                                 "--", TESTAPP, os.path.join(self.folder, "result"),
                                  *(["emulated", "1000"] if "--emulate" in options else [])],
                                 stdout=subprocess.DEVNULL, stderr=stderr, **more)
         self.addCleanup(lambda: (tool.kill(), tool.communicate()))

@@ -41,9 +41,11 @@ class Top(unittest.TestCase):
         self.folder = folder.name
 
     def start(self, *app, files=None, **keywords):
-        tool = subprocess.Popen([XAUTO, "run", *(files or testapp_files(self.folder)), "--activations", "0",
-                                 "--overload", "queue:256", "--out", os.path.join(self.folder, "r.json"), "--", TESTAPP, os.path.join(self.folder, "result"),
-                                 *map(str, app)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **keywords)
+        files = files or testapp_files(self.folder, period_us=20_000)
+        tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "0", "--overload", "queue:256",
+                                 "--out", os.path.join(self.folder, "r.json"), "--", TESTAPP,
+                                 os.path.join(self.folder, "result"), *map(str, app)],
+                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **keywords)
         self.addCleanup(self.end, tool)
         return tool
 
@@ -60,7 +62,7 @@ class Top(unittest.TestCase):
         return [json.loads(line) for line in done.stdout.splitlines()]
 
     def test_counts_are_those_of_the_report(self):
-        tool = self.start("period", 20000, "throw", "A", 5, files=testapp_files(self.folder, deadline_us=1))
+        tool = self.start("throw", "A", 5, files=testapp_files(self.folder, period_us=20_000, deadline_us=1))
         wait_for("the activation that fails", lambda: activations(tool).get("C", 0) > 8, tool)
         first, second = self.look(tool, "--count", 2, "--interval-ms", 1000)
         self.assertEqual(first["app"], "testapp")
@@ -88,7 +90,7 @@ class Top(unittest.TestCase):
 
     def test_who_runs_and_who_waits(self):
         # b1 sleeps on the npu, and a2 of that release or the next waits for it, or is below it.
-        tool = self.start("period", 50000, "hang", "B", 5, 20000)
+        tool = self.start("hang", "B", 5, 20000)
         seen = {}
 
         def runs():
@@ -99,11 +101,11 @@ class Top(unittest.TestCase):
         tool.kill()
 
     def test_a_pipe_gets_one_look_in_words(self):
-        tool = self.start("period", 20000)
+        tool = self.start()
         done = xauto("top", "--run", f"{tool.pid}-0", "--wait-s", 30, "--interval-ms", 500)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(done.stdout.count("testapp on test"), 1)
-        self.assertIn("src -> C", done.stdout)
+        self.assertIn("src -> c1", done.stdout)
         self.assertNotIn("\x1b", done.stdout)
         self.assertIn(f"{tool.pid}-0\n", xauto("top", "--list").stdout)
         self.assertIn(f"{tool.pid}-0", json.loads(xauto("top", "--list", "--json").stdout)["runs"])
@@ -124,7 +126,7 @@ class Top(unittest.TestCase):
         self.assertIn(f"run '{run}' is of root", done.stderr)
 
     def test_isolated_modules_are_counted_too(self):
-        tool = self.start("period", 20000, files=[*testapp_files(self.folder), "--isolate"])
+        tool = self.start(files=[*testapp_files(self.folder, period_us=20_000), "--isolate"])
         seen = {}
 
         def counts():
@@ -180,10 +182,10 @@ class Top(unittest.TestCase):
         return b"XAUTO_PROCESS=" in pathlib.Path(f"/proc/{pid}/environ").read_bytes()
 
     def test_progress_and_logs_do_not_run_into_each_other(self):
-        files = testapp_files(self.folder)
+        files = testapp_files(self.folder, period_us=20_000)
         outer, inner = pty.openpty()
         tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "6000", "--isolate", "--restarts", "5", "--", TESTAPP,
-                                 os.path.join(self.folder, "result"), "period", "20000"], stdout=subprocess.DEVNULL, stderr=inner)
+                                 os.path.join(self.folder, "result")], stdout=subprocess.DEVNULL, stderr=inner)
         os.close(inner)
         line = r"run policy \[#*\.*\] +\d+ %  \d+ s, \d+\.\d/s, p50 \d+\.\d\d ms"
         data, killed = b"", 0

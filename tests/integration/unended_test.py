@@ -35,7 +35,7 @@ class Unended(unittest.TestCase):
             {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 1000}]})
         # Every machine releases in time for such jitters, or the run says that it did not.
         app = write("app.json", {
-            "schema": "xauto.app", "version": 2, "name": "faulty",
+            "schema": "xauto.app", "version": 3, "name": "faulty",
             "sources": [{"name": "fast", "period_us": 20000, "jitter_us": 2000},
                         {"name": "slow", "period_us": 120000, "jitter_us": 2000}],
             "modules": [{"name": "Fast", "max_in_flight": 1}, {"name": "Slow", "max_in_flight": 1}],
@@ -146,17 +146,32 @@ class Unended(unittest.TestCase):
         """By testapp, whose D hangs in release 10."""
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
-        flags = testapp_files(folder.name, deadline_us=400_000)
+        flags = testapp_files(folder.name, period_us=10_000, deadline_us=400_000)
         done = xauto("run", *flags, "--overload", "queue:256", "--activations", 50, "--json", "--", TESTAPP,
                      os.path.join(folder.name, "result"), "hang", "D", 10, FOR_EVER_MS)
         self.assertEqual(done.returncode, 1, done.stderr)
         run = json.loads(done.stdout)["runs"][0]
         self.assertEqual((run["activations"], run["lost_activations"]), (10, 40))
         self.assertGreaterEqual(run["deadline_misses"], 40)
-        overlapping = [line for line in run["worst_case_broken"] if "while an earlier one was in flight" in line]
-        self.assertRegex(overlapping[0], r"^\d+ of 50 releases came ")
+        self.assert_broken(run, "the run is not complete: .*40 of 50 activations of XModule 'D' did not end")
+        self.assert_broken(run, r"XNode 'd1' of XModule 'D' has run for \d+\.\d\d ms and has not ended; "
+                           r"its WCET is 1\.00 ms")
         self.assertIn("40 of 50 activations of XModule 'D' did not end", done.stderr)
         self.assertEqual({m["name"]: m.get("unended", 0) for m in run["modules"]}["D"], 40)
+
+    def test_without_a_rate_nothing_is_released_behind_it(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        done = xauto("run", *testapp_files(folder.name), "--activations", 50, "--json", "--", TESTAPP,
+                     os.path.join(folder.name, "result"), "hang", "D", 10, FOR_EVER_MS)
+        self.assertEqual(done.returncode, 1, done.stderr)
+        run = json.loads(done.stdout)["runs"][0]
+        self.assertEqual((run["activations"], run["lost_activations"], run["complete"]), (10, 1, False))
+        self.assertEqual({m["name"]: m.get("unended", 0) for m in run["modules"]}["D"], 1)
+        self.assert_broken(run, "the run is not complete: .*1 of 11 activations of XModule 'D' did not end")
+        self.assert_broken(run, r"XNode 'd1' of XModule 'D' has run for \d+\.\d\d ms and has not ended; "
+                           r"its WCET is 1\.00 ms")
+        self.assertIn("1 of 11 activations of XModule 'D' did not end", done.stderr)
 
     def test_a_run_that_was_told_to_stop_says_so_and_claims_nothing(self):
         tool = self.start("", "--seconds", 3600)

@@ -33,7 +33,7 @@ class Urgent(unittest.TestCase):
     @classmethod
     def plan(cls, app, policy, urgent):
         source = {"period_us": 20000, "jitter_us": 1000}
-        cls.write(app, {"schema": "xauto.app", "version": 2, "name": "urgentapp", "edges": [],
+        cls.write(app, {"schema": "xauto.app", "version": 3, "name": "urgentapp", "edges": [],
                         "sources": [{"name": "camera", **source, **({"urgent": urgent} if urgent else {})},
                                     {"name": "lidar", **source}],
                         "xnodes": [{"name": f"{n}.run", "module": f"{n}M", "source": n, "wcet_us": {"gpu": us}}

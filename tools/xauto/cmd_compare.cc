@@ -12,10 +12,10 @@
 
 #include "base/log.h"
 #include "model/json.h"
-#include "model/periodic.h"
 #include "solver/search.h"
 #include "solver/solve.h"
 #include "solver/steady/check.h"
+#include "solver/steady/one_release.h"
 #include "solver/steady/solve.h"
 
 #include "xauto/command.h"
@@ -38,11 +38,10 @@ const std::vector<std::pair<std::string, std::string>> kPolicyNames = {
     {"local", "local optimum, scheduled"},
     {"xauto", "XAuto"},
     {"xauto-unscheduled", "XAuto without scheduling"},
-    {"fixed", "fixed priorities"},
-    {"keys", "keys"}};
+    {"fixed", "fixed priorities"}};
 
-const std::vector<std::string> kVersion1 = {"ros2", "heft", "xauto", "xauto-unscheduled"};
-const std::vector<std::string> kVersion2 = {"ros2", "fixed", "keys"};
+const std::vector<std::string> kOneAtATime = {"ros2", "heft", "xauto", "xauto-unscheduled"};
+const std::vector<std::string> kWithRates = {"ros2", "fixed", "xauto"};
 
 std::string name_of(const std::string& id) {
   for (const auto& [known, name] : kPolicyNames)
@@ -53,15 +52,13 @@ std::string name_of(const std::string& id) {
 /// The solver's plan of one release, with priorities by period, the shortest first (rate-monotonic): an
 /// XNode counts by the slowest source that it waits for. Those of one period stay as they are among
 /// themselves. It claims nothing.
-Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform, double time_limit_s) {
-  AppSpec once = app;
-  once.sources.clear();
-  for (XNodeSpec& xnode : once.xnodes) xnode.sources.clear();
+Result<KeyPolicy> fixed_priorities(const AppSpec& app, const Platform& platform,
+                                   double time_limit_s) {
   solver::SolveOptions options;
   options.time_limit_s = time_limit_s;
   options.threads = 2;
   options.priorities_only = true;
-  XAUTO_ASSIGN(const Policy plan, solver::solve(once, platform, options));
+  XAUTO_ASSIGN(const Policy plan, solver::solve(app, platform, options));
   XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
   solver::Decision decision;
   for (const Placement& p : plan.placements) {
@@ -79,81 +76,66 @@ Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform, do
   auto priority = static_cast<std::int64_t>(sequence.size());
   for (const int i : sequence) decision.priority[static_cast<std::size_t>(i)] = priority--;
   Policy policy = solver::make_policy(app, platform, problem, decision, plan.method);
-  policy.lower_bound_us = plan.lower_bound_us;
   policy.solve_ms = plan.solve_ms;
-  return policy;
+  return by_priorities(policy, app);
 }
 
-/// Of an app of version 2: by keys, or by fixed priorities.
-Status solve_periodic(const CompareFlags& flags, PolicyRun& run, const std::string& path,
-                      Outputs& outputs) {
-  if (run.id == "fixed") {
-    const AppSpec app = as_version_1(flags.app);
-    XAUTO_ASSIGN(run.policy, fixed_priorities(app, flags.spec, flags.time_limit_s));
-    outputs.write(path, to_json(*run.policy, app, flags.spec));
-    return {};
+Result<KeyPolicy> solved(const CompareFlags& flags, const std::string& id) {
+  if (id == "fixed") return fixed_priorities(flags.app, flags.spec, flags.time_limit_s);
+  if (id == "heft" || id == "local") {
+    solver::SolveOptions plan;
+    plan.method = id;
+    plan.time_limit_s = flags.time_limit_s;
+    XAUTO_ASSIGN(solver::steady::Baseline made,
+                 solver::steady::baseline(flags.app, flags.spec, plan));
+    return std::move(made.policy);
   }
   solver::steady::Options options;
   options.time_limit_s = flags.time_limit_s;
   options.threads = 2;
+  options.aim = solver::steady::usual_aim(flags.app);
   XAUTO_ASSIGN(solver::steady::Answer answer,
                solver::steady::solve(flags.app, flags.spec, options));
   if (answer.outcome != solver::steady::Outcome::kPolicy)
     return fail(ErrorCode::kInfeasible,
                 answer.outcome == solver::steady::Outcome::kUnsustainable
-                    ? "no policy of keys keeps up: " + answer.overload.text
-                    : "no policy of keys was found in this time",
+                    ? "no policy keeps up: " + answer.overload.text
+                    : "no policy was found in this time",
                 flags.app.name + " on " + flags.spec.name, "`xauto solve` says more");
   XAUTO_TRY(solver::steady::check(flags.app, flags.spec, answer.policy));
-  run.keys = std::move(answer.policy);
-  run.policy = assignment_of(*run.keys);
-  outputs.write(path, to_json(*run.keys, flags.app, flags.spec));
-  return {};
+  return std::move(answer.policy);
 }
 
-/// `solved`: XAuto's policy, solved once for the runs with and without scheduling.
+/// `ours`: XAuto's policy, solved once for the runs with and without scheduling.
 Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
-                          std::optional<Policy>& solved, Outputs& outputs) {
+                          std::optional<KeyPolicy>& ours, Outputs& outputs) {
   PolicyRun run;
   run.id = id;
   run.name = name_of(id);
-  const std::string path = flags.out + "/" + id + ".policy.json";
   if (id == "ros2") {
     run.scheduling = runtime::Scheduling::kRos2;
-  } else if (flags.app.version == 2) {
-    XAUTO_TRY(solve_periodic(flags, run, path, outputs));
-    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
+    return run;
+  }
+  const bool of_xauto = id == "xauto" || id == "xauto-unscheduled";
+  if (id == "xauto-unscheduled") run.scheduling = runtime::Scheduling::kTimeshare;
+  KeyPolicy policy;
+  if (of_xauto && ours) {
+    policy = *ours;
   } else {
-    const bool ours = id == "xauto" || id == "xauto-unscheduled";
-    if (id == "xauto-unscheduled") run.scheduling = runtime::Scheduling::kTimeshare;
-    if (ours) run.policy = solved;
-    if (!run.policy) {
-      solver::SolveOptions options;
-      options.method = ours ? "auto" : id;
-      options.time_limit_s = flags.time_limit_s;
-      options.threads = 2;
-      XAUTO_ASSIGN(run.policy, solver::solve(flags.app, flags.spec, options));
-      if (ours) solved = run.policy;
-    }
-    outputs.write(path, to_json(*run.policy, flags.app, flags.spec));
-    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
+    XAUTO_ASSIGN(policy, solved(flags, id));
+    if (of_xauto) ours = policy;
   }
-  if (flags.app.version == 1) {
-    XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
-  }
+  const std::string path = flags.out + "/" + id + ".policy.json";
+  outputs.write(path, to_json(policy, flags.app, flags.spec));
+  run.take(std::move(policy));
+  XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
   return run;
 }
 
 Result<int> compare(const CompareFlags& given, const Options& options) {
   CompareFlags flags = given;
   XAUTO_TRY(flags.prepare());
-  const std::vector<std::string>& known = flags.app.version == 2 ? kVersion2 : kVersion1;
-  if (flags.policies.empty()) flags.policies = known;
-  for (const std::string& id : flags.policies)
-    if ((id == "fixed" || id == "keys" || id == "ros2" ? flags.app.version == 1 && id != "ros2"
-                                                       : flags.app.version == 2))
-      return fail(ErrorCode::kInvalid, "'" + id + "' is not for an app of this version",
-                  "--policies", fmt::format("there are {}", fmt::join(known, ",")));
+  if (flags.policies.empty()) flags.policies = flags.app.one_at_a_time ? kOneAtATime : kWithRates;
   std::error_code error;
   std::filesystem::create_directories(flags.out, error);
   if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
@@ -164,18 +146,14 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
   XAUTO_TRY(outputs.expect("--out", timeline_path));
 
   std::vector<PolicyRun> runs;
-  std::optional<Policy> solved;
+  std::optional<KeyPolicy> ours;
   bool good = true;
   const StopOnSignal stop;
   for (const std::string& id : flags.policies) {
-    XAUTO_ASSIGN(PolicyRun run, prepare(flags, id, solved, outputs));
+    XAUTO_ASSIGN(PolicyRun run, prepare(flags, id, ours, outputs));
     const std::string length = flags.seconds > 0 ? fmt::format("{:g} s", flags.seconds)
                                                  : fmt::format("{} activations", flags.activations);
-    if (flags.app.version == 1)
-      log::info("{}: {:.2f} ms simulated, running {}", run.name,
-                static_cast<double>(run.predicted.makespan) / 1000, length);
-    else
-      log::info("{}: running {}", run.name, length);
+    log::info("{}: running {}", run.name, length);
     XAUTO_TRY(execute(flags, run, stop.flag()));
     good = is_healthy(run) && good;
     if (const Result<std::string> trace = perfetto_of(flags, run))
@@ -213,8 +191,8 @@ void add_compare(Commands& commands) {
   verb.option("--policies", flags->policies, "which, in this order")
       .separated_by(',')
       .one_of(known)
-      .shown_as(fmt::format("{}; of an app of version 2 {}", fmt::join(kVersion1, ","),
-                            fmt::join(kVersion2, ",")));
+      .shown_as(fmt::format("{}; where no source has a rate {}", fmt::join(kWithRates, ","),
+                            fmt::join(kOneAtATime, ",")));
   verb.option("--out", flags->out,
               "folder for report.json, timeline.html, the traces and the policies")
       .shown();

@@ -10,12 +10,11 @@
 
 #include "model/json.h"
 #include "model/json_value.h"
-#include "solver/explain.h"
 #include "story/account.h"
 #include "story/chain_story.h"
 
 #include "xauto/command.h"
-#include "xauto/periodic.h"
+#include "xauto/policies.h"
 
 namespace xauto::cli {
 namespace {
@@ -90,7 +89,7 @@ Result<const Release*> wanted(const Chain& chain, const std::vector<Release>& re
                                      std::to_string(releases.back().number));
 }
 
-/// Of an app of version 2: a release of each chain, or of the one asked for.
+/// A release of each chain, or of the one asked for.
 Result<std::vector<story::ChainStory>> stories_of(const ExplainFlags& flags,
                                                   const story::ReadTrace& trace) {
   std::vector<story::ChainStory> stories;
@@ -238,10 +237,6 @@ Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
   return kDone;
 }
 
-double in_ms(std::int64_t us) {
-  return static_cast<double>(us) / 1000;
-}
-
 Result<int> explain(const ExplainFlags& flags, const Options& options) {
   if (!flags.trace.empty()) return explain_trace(flags, options);
   for (const auto& [path, option] :
@@ -250,55 +245,9 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
     if (path->empty())
       return fail(ErrorCode::kInvalid, "is needed", option,
                   "or give the trace of a run: xauto explain --trace FILE.pftrace");
-  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  if (app.version == 2)
-    return explain_periodic(app, platform, flags.policy, flags.windows, flags.moves_s, options);
-  if (!flags.windows.empty())
-    return fail(ErrorCode::kInvalid, "is for an app of version 2", "--windows",
-                "a policy of version 1 has no windows; `xauto simulate` shows its schedule");
-  XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
-  XAUTO_ASSIGN(const solver::Explanation why, solver::explain(app, platform, policy));
-  const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
-  const auto xpu = [&](int i) {
-    return platform
-        .xpus[static_cast<std::size_t>(policy.placements[static_cast<std::size_t>(i)].xpu)]
-        .id;
-  };
-  if (options.json) {
-    Json chain = Json::array();
-    for (const solver::ChainLink& link : why.chain) {
-      Json behind = Json::array();
-      for (int j : link.behind) behind.push_back(name(j));
-      chain.push_back({{"xnode", name(link.xnode)},
-                       {"xpu", xpu(link.xnode)},
-                       {"ready_us", link.ready_us},
-                       {"start_us", link.start_us},
-                       {"finish_us", link.finish_us},
-                       {"wcet_us", link.wcet_us},
-                       {"behind", behind}});
-    }
-    Json answer = {{"sentence", why.sentence},
-                   {"limiting_xpu", platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
-                   {"limiting_us", why.limiting_us},
-                   {"running_us", why.running_us},
-                   {"critical_path_us", why.critical_path_us},
-                   {"chain", chain}};
-    std::cout << answer.dump(2) << "\n";
-    return kDone;
-  }
-  std::printf("%s\n\n  %-24s %-8s %10s %10s %10s   behind\n", why.sentence.c_str(), "XNode", "XPU",
-              "ready ms", "runs ms", "finish ms");
-  for (const solver::ChainLink& link : why.chain) {
-    std::string behind;
-    for (int j : link.behind) behind += (behind.empty() ? "" : ", ") + name(j);
-    std::printf("  %-24s %-8s %10.2f %10.2f %10.2f   %s\n", name(link.xnode).c_str(),
-                xpu(link.xnode).c_str(), in_ms(link.ready_us), in_ms(link.wcet_us),
-                in_ms(link.finish_us), behind.c_str());
-  }
-  std::printf("\n  On any number of XPUs the app would still take %.2f ms (its critical path).\n",
-              in_ms(why.critical_path_us));
-  return kDone;
+  return explain_policy(app, platform, flags.policy, flags.windows, flags.moves_s, options);
 }
 
 }  // namespace
@@ -312,10 +261,8 @@ void add_explain(Commands& commands) {
   verb.option("--app", flags->app, "app.json");
   verb.option("--platform", flags->platform, kPlatformNames);
   verb.option("--policy", flags->policy, "policy.json");
-  verb.option("--windows", flags->windows,
-              "of an app of version 2: write a picture of every job's window here, an SVG");
-  verb.option("--time-limit-s", flags->moves_s,
-              "for all that moving an XNode would bring, version 2")
+  verb.option("--windows", flags->windows, "write a picture of every job's window here, an SVG");
+  verb.option("--time-limit-s", flags->moves_s, "for all that moving an XNode would bring")
       .not_negative()
       .shown();
   verb.option("--trace", flags->trace,
@@ -327,10 +274,7 @@ void add_explain(Commands& commands) {
   verb.option("--activation", flags->activation,
               "of the trace: the release's number, worst or median")
       .shown();
-  verb.option("--chain", flags->chain,
-              "of a trace with several rates: the module whose results, of an app of version 2 the "
-              "chain; default: each")
-      .needs("--trace");
+  verb.option("--chain", flags->chain, "of a trace: the chain; default: each").needs("--trace");
 }
 
 }  // namespace xauto::cli

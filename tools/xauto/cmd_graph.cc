@@ -18,7 +18,7 @@ struct GraphFlags {
 };
 
 Result<int> graph(const GraphFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--dot", flags.dot));
   XAUTO_TRY(outputs.expect("--svg", flags.svg));
@@ -26,15 +26,9 @@ Result<int> graph(const GraphFlags& flags, const Options& options) {
   story::GraphPlaces places;
   if (!flags.policy.empty()) {
     XAUTO_ASSIGN(platform, load_platform(flags.platform));
-    Policy policy;
-    if (app.version == 2) {
-      XAUTO_ASSIGN(const KeyPolicy keys, load_key_policy(flags.policy, app, platform));
-      policy = assignment_of(keys);
-    } else {
-      XAUTO_ASSIGN(policy, load_policy(flags.policy, app, platform));
-    }
+    XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(flags.policy, app, platform));
     places.platform = &platform;
-    for (const Placement& p : policy.placements) places.xpu.push_back(p.xpu);
+    for (const KeyPlacement& p : policy.placements) places.xpu.push_back(p.xpu);
   }
   const std::string dot = graph_dot(app, places);
   if (options.json)

@@ -28,7 +28,6 @@ struct ProfileFlags {
               machine_root, script;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
-  int app_version = 0;
   bool stable = false, contended = false, audit = false;
   std::optional<Argument> repetitions_given;
   EmulationOptions emulation;
@@ -386,9 +385,7 @@ Result<int> merge(const ProfileFlags& flags, const Options& options) {
 void warn_of_cut_rates(const AppSpec& app, const std::string& path) {
   for (const SourceSpec& source : app.sources) {
     const std::int64_t us = source.period.num;
-    if (app.version == 1 || source.period.den != 1 || us < 2 || us > 1'000'000 ||
-        1'000'000 % us == 0)
-      continue;
+    if (source.period.den != 1 || us < 2 || us > 1'000'000 || 1'000'000 % us == 0) continue;
     const std::int64_t hz = (1'000'000 + us / 2) / us;
     if (us != 1'000'000 / hz && us != 1'000'000 / hz + 1) continue;
     log::warn(
@@ -409,13 +406,7 @@ Status write_app(const ProfileFlags& flags, const Profile& profile, const Platfo
         path);
     return {};
   }
-  XAUTO_ASSIGN(AppSpec app, to_app(profile, platform, from_of(flags), flags.app_version == 2));
-  const std::string why = why_version_2(profile, app);
-  if (flags.app_version == 1 && app.version == 2)
-    return fail(ErrorCode::kInvalid, why + ", which version 1 cannot say", "--app-version 1",
-                "leave it out");
-  if (app.version == 2 && !why.empty())
-    log::info("{} is of version 2, releases on and on: {}", path, why);
+  XAUTO_ASSIGN(AppSpec app, to_app(profile, platform, from_of(flags)));
   std::string text = to_json(app);
   if (const auto old = read_file(path)) {
     std::vector<std::string> lines;
@@ -423,15 +414,14 @@ Status write_app(const ProfileFlags& flags, const Profile& profile, const Platfo
     for (const std::string& line : lines) log::info("{}: {}", path, line);
     XAUTO_ASSIGN(app, parse_app(text, path));
   }
-  if (app.version == 2)
-    for (const SourceSpec& source : profile.sources)
-      if (source.pushed)
-        log::warn(
-            "{}: source '{}' is pushed, and its grid was not measured: period_us {} is the "
-            "least distance that the app states, offset_us and jitter_us are taken as 0; a "
-            "worst case holds only if release k comes at offset + k period, at most jitter "
-            "later: write there what the driver does",
-            path, source.name, source.period.num);
+  for (const SourceSpec& source : profile.sources)
+    if (source.pushed)
+      log::warn(
+          "{}: source '{}' is pushed, and its grid was not measured: period_us {} is the "
+          "least distance that the app states, offset_us and jitter_us are taken as 0; a "
+          "worst case holds only if release k comes at offset + k period, at most jitter "
+          "later: write there what the driver does",
+          path, source.name, source.period.num);
   warn_of_cut_rates(app, path);
   outputs.write(path, text);
   return {};
@@ -508,11 +498,6 @@ void add_profile(Commands& commands) {
       .shown();
   verb.option("--out", flags->out, "write profile.json here");
   verb.option("--app-out", flags->app_out, "write the app.json that follows here");
-  verb.option("--app-version", flags->app_version,
-              "of that app.json: 1, one release; 2, releases on and on, where each part that edges "
-              "join has one "
-              "period; default: 1 where that says all")
-      .range(1, 2);
   verb.flag(
       "--contended", flags->contended,
       "once more beside a load of each type of XPU, the memory of which all share: the WCET is "

@@ -31,7 +31,6 @@ std::string fact_of(const Json& report, const std::string& id) {
       if (const auto us = run.at(key).number())
         out += fmt::format("{}{} {:.2f} ms", out.empty() ? "" : ", ", what, *us / 1000);
     };
-    add("predicted_us", "simulated");
     add("lower_bound_us", "lower bound");
     add("worst_case_us", "worst case");
     if (!run.has("worst_case_us")) return out;

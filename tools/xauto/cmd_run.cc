@@ -56,12 +56,11 @@ std::string refused_by_check(const OneRunFlags& flags, const PolicyRun& run) {
     return checked || checked.error().code != ErrorCode::kInfeasible ? ""
                                                                      : checked.error().to_string();
   }
-  if (!run.tables && !run.policy->worst_case_us) return {};  // a run holds nothing else against it
+  if (!run.tables) return {};  // priorities claim nothing
   // What is refuted at once. Bounds on all policies are no concern of a run.
   const solver::VerifyOptions at_once{.executions = 100, .proof_nodes = 0, .schedules = 0};
   const std::vector<std::string> lies =
-      run.tables ? solver::verify_tables(flags.app, flags.spec, *run.tables, at_once).lies
-                 : solver::verify(flags.app, flags.spec, *run.policy, at_once).lies;
+      solver::verify_tables(flags.app, flags.spec, *run.tables, at_once).lies;
   return lies.empty() ? "" : lies.front();
 }
 
@@ -105,13 +104,10 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
     if (is_tables_file(flags.policy_path)) {
       XAUTO_TRY(take_tables(flags, run));
       XAUTO_TRY(check_platform(flags, run.tables->platform));
-    } else if (flags.app.version == 2) {
-      XAUTO_ASSIGN(run.keys, load_key_policy(flags.policy_path, flags.app, flags.spec));
-      XAUTO_TRY(check_platform(flags, run.keys->platform));
-      run.policy = assignment_of(*run.keys);
     } else {
-      XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
-      XAUTO_TRY(check_platform(flags, run.policy->platform));
+      XAUTO_ASSIGN(KeyPolicy policy, load_key_policy(flags.policy_path, flags.app, flags.spec));
+      XAUTO_TRY(check_platform(flags, policy.platform));
+      run.take(std::move(policy));
     }
     XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
                                     flags.policy_path));
@@ -132,11 +128,6 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
   if (!std::filesystem::exists(flags.record))
     XAUTO_TRY(
         outputs.expect("--record", flags.record.substr(0, flags.record.find_last_not_of('/') + 1)));
-  if (flags.app.version == 1) {
-    const AppSpec app =
-        run.tables ? app_under(flags.app, run.tables->scenarios.front()) : flags.app;
-    XAUTO_ASSIGN(run.predicted, predict(app, flags.spec, run.scheduling, run.policy));
-  }
   const StopOnSignal stop;
   Dump dump;
   if (!flags.trace_out.empty())

@@ -65,7 +65,7 @@ FlowCounts together(const std::vector<FlowCounts>& chains) {
 ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   ClaimCounts claims;
   const bool tables = !counts.scenarios.empty();
-  const bool one_policy = counts.whole.worst_case_us > 0 && !tables;  // of version 1
+  const bool one_policy = counts.whole.worst_case_us > 0 && !tables;
   for (const FlowCounts& chain : counts.chains) {
     claims.claimed = claims.claimed || chain.worst_case_us > 0;
     claims.exceeded = claims.exceeded || chain.exceeds();

@@ -14,15 +14,12 @@ bool asks(const RunFlags& flags, const std::string& word) {
   return std::find(flags.fail_on.begin(), flags.fail_on.end(), word) != flags.fail_on.end();
 }
 
-/// Releases that missed the app's deadline; of chains what missed another one, or became too old.
-GateCount misses(const RunFlags& flags, const runtime::RunReport& report) {
-  GateCount gate{"miss", report.deadline_misses, {}};
+/// Results of chains that missed their deadline, or became too old.
+GateCount misses(const runtime::RunReport& report) {
+  GateCount gate{"miss", 0, {}};
   std::string chains;
   for (const runtime::RouteReport& route : report.routes) {
-    // An app of version 1 and one rate without chains has every release's deadline counted above.
-    const bool counted =
-        flags.app.version == 1 && flags.deployment.chains.empty() && report.num_releases > 0;
-    const std::uint64_t late = (counted ? 0 : route.deadline_misses) + route.age_misses;
+    const std::uint64_t late = route.deadline_misses + route.age_misses;
     gate.count += late;
     if (late > 0)
       chains += fmt::format("{}{} of chain '{}'", chains.empty() ? ": " : ", ", late, route.name);
@@ -39,8 +36,7 @@ std::uint64_t exceeded(const RunFlags& flags, const PolicyRun& run) {
     return static_cast<std::uint64_t>(
         std::count_if(claims->chains.begin(), claims->chains.end(),
                       [](const ChainClaimed& chain) { return chain.exceeded; }));
-  const auto worst = worst_case_of(run);
-  return worst && worst->exceeded ? 1 : 0;
+  return 0;
 }
 
 }  // namespace
@@ -56,7 +52,6 @@ std::uint64_t lost_results(const runtime::RunReport& report) {
 Status check_gate(const RunFlags& flags, const PolicyRun& run) {
   const Deployment& deployment = flags.deployment;
   const bool deadline =
-      flags.app.deadline_us.has_value() ||
       std::any_of(flags.app.chains.begin(), flags.app.chains.end(),
                   [](const ChainSpec& c) { return c.deadline_us.has_value(); }) ||
       std::any_of(deployment.chains.begin(), deployment.chains.end(), [](const ChainDeployment& c) {
@@ -65,7 +60,7 @@ Status check_gate(const RunFlags& flags, const PolicyRun& run) {
   if (asks(flags, "miss") && !deadline)
     return fail(ErrorCode::kInvalid, "nothing has a deadline that could be missed",
                 "--fail-on miss",
-                "give the app `deadline_us` (of version 2 a chain of it), or a chain of the "
+                "give the app, or a chain of it, `deadline_us`, or a chain of the "
                 "deployment `deadline_us` or `max_age_us`");
   const auto limited = [](const ModuleDeployment& m) {
     return m.hang_us.has_value() || m.hang_pct.has_value();
@@ -78,8 +73,7 @@ Status check_gate(const RunFlags& flags, const PolicyRun& run) {
   if (asks(flags, "claim") && run.scheduling == runtime::Scheduling::kXAuto && claims_nothing(run))
     return fail(ErrorCode::kInvalid, kClaimsNothing, "--fail-on claim",
                 "leave it out, or run a certified policy");
-  const bool claimed =
-      run.keys || run.tables || (run.policy && run.policy->worst_case_us.has_value());
+  const bool claimed = run.keys || run.tables;
   if (asks(flags, "claim") && (run.scheduling != runtime::Scheduling::kXAuto || !claimed))
     return fail(ErrorCode::kInvalid, "the run claims no worst case", "--fail-on claim",
                 "run a policy of `xauto solve`, with --scheduling xauto");
@@ -92,7 +86,7 @@ std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run) {
     if (!asks(flags, word)) continue;
     GateCount gate{word, 0, {}};
     if (word == "miss") {
-      gate = misses(flags, run.report);
+      gate = misses(run.report);
     } else if (word == "lost") {
       gate.count = lost_results(run.report);
       gate.what = fmt::format("{} activations were lost", gate.count);

@@ -149,9 +149,10 @@ void add_scenarios(Page& page, const Labels& of_run, const Counts& counts) {
     labels.emplace_back("table", s.table);
     page.gauge("xauto_scenario_active", "1: the scenario counts now.", labels,
                s.name == counts.scenario->name ? "1" : "0");
-    page.counter("xauto_scenario_releases_total",
-                 "Releases under it; of version 1 those that met no change of the scenario.",
-                 labels, s.releases);
+    page.counter(
+        "xauto_scenario_releases_total",
+        "Releases under it; of tables of priorities those that met no change of the scenario.",
+        labels, s.releases);
     if (s.worst_case_us > 0)  // of keys it is chains that something is claimed of
       page.counter("xauto_scenario_over_worst_case_total",
                    "... that took longer than what its table claims.", labels, s.over);

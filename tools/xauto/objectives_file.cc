@@ -21,14 +21,6 @@ Result<std::string> text(const Json& object, const char* key, const std::string&
   return *found;
 }
 
-Result<std::int64_t> number(const Json& object, const char* key, const std::string& path,
-                            const std::string& pointer) {
-  const auto found = object.at(key).integer();
-  if (!found || *found < 0 || *found > kMaxTimeUs)
-    return bad(path, pointer + "/" + key, "an integer from 0 to 10^12 is expected here");
-  return *found;
-}
-
 }  // namespace
 
 Result<solver::Objectives> load_objectives(const std::string& app_path) {
@@ -37,7 +29,6 @@ Result<solver::Objectives> load_objectives(const std::string& app_path) {
 }
 
 void add_wishes(Verb verb, Wishes& wishes) {
-  verb.option("--deadline-us", wishes.deadline_us, "of the whole app").not_negative();
   verb.option("--pin", wishes.pins, "XNODE=XPU or XNODE=TYPE: only there");
   verb.option("--forbid", wishes.forbids, "XNODE=XPU or XNODE=TYPE: anywhere but there");
   verb.option("--group", wishes.groups, "XNODE,XNODE,...: on one instance");
@@ -62,7 +53,6 @@ Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives) {
     }
     objectives.groups.push_back(std::move(names));
   }
-  if (wishes.deadline_us > 0) objectives.deadline_us = wishes.deadline_us;
   return {};
 }
 
@@ -75,26 +65,6 @@ Result<solver::Objectives> parse_objectives(const std::string& file, const std::
       return bad(app_path, std::string("/") + key, "an array is expected here");
     return root.at(key).elements();
   };
-  // In version 2 chains are the app's own, from a source: AppSpec::chains.
-  const bool periodic = root.at("version").integer().value_or(1) > 1;
-  XAUTO_ASSIGN(const std::vector<Json> chains,
-               periodic ? Result<std::vector<Json>>() : list("chains"));
-  for (std::size_t k = 0; k < chains.size(); ++k) {
-    const std::string pointer = "/chains/" + std::to_string(k);
-    solver::ChainWish chain;
-    XAUTO_ASSIGN(chain.name, text(chains[k], "name", app_path, pointer));
-    XAUTO_ASSIGN(chain.from, text(chains[k], "from", app_path, pointer));
-    XAUTO_ASSIGN(chain.to, text(chains[k], "to", app_path, pointer));
-    if (chains[k].has("deadline_us")) {
-      XAUTO_ASSIGN(chain.deadline_us, number(chains[k], "deadline_us", app_path, pointer));
-    }
-    if (chains[k].has("weight")) {
-      XAUTO_ASSIGN(chain.weight, number(chains[k], "weight", app_path, pointer));
-      if (chain.weight > 1000)
-        return bad(app_path, pointer + "/weight", "a weight from 0 to 1000 is expected here");
-    }
-    objectives.chains.push_back(std::move(chain));
-  }
   for (const char* key : {"pins", "forbids"}) {
     XAUTO_ASSIGN(const std::vector<Json> entries, list(key));
     for (std::size_t k = 0; k < entries.size(); ++k) {

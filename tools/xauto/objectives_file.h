@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The optional keys of app.json that only the solver reads: "chains", "pins", "forbids", "groups"
+// The optional keys of app.json that only the solver reads: "pins", "forbids", "groups"
 // (docs/formats.md). They change what is asked for, not what the app is, so they are not in its
-// hash. "chains" of version 2 are part of the app, and not read here.
+// hash.
 #pragma once
 
 #include <string>
@@ -23,10 +23,7 @@ namespace xauto::cli {
 /// What the command line asks for on top.
 struct Wishes {
   std::vector<std::string> pins, forbids, groups;
-  std::int64_t deadline_us = 0;
-  [[nodiscard]] bool given() const {
-    return !pins.empty() || !forbids.empty() || !groups.empty() || deadline_us > 0;
-  }
+  [[nodiscard]] bool given() const { return !pins.empty() || !forbids.empty() || !groups.empty(); }
 };
 void add_wishes(Verb verb, Wishes& wishes);
 [[nodiscard]] Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives);

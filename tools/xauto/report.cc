@@ -38,10 +38,8 @@ std::string in_ms(std::int64_t us, std::size_t count) {
   return count == 0 ? "-" : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
 }
 
-/// Late results: of releases, with several rates of chains. Missing: nothing has a deadline.
-std::optional<std::uint64_t> deadline_misses(const RunFlags& flags, const PolicyRun& run) {
-  if (!run.report.several_rates)
-    return flags.app.deadline_us ? std::optional(run.report.deadline_misses) : std::nullopt;
+/// Late results of chains. Missing: nothing has a deadline.
+std::optional<std::uint64_t> deadline_misses(const PolicyRun& run) {
   std::optional<std::uint64_t> misses;
   for (const runtime::RouteReport& r : run.report.routes)
     if (r.deadline_us) misses = misses.value_or(0) + r.deadline_misses;
@@ -55,7 +53,7 @@ std::string of_its_table(const runtime::RouteReport& r) {
              : fmt::format(": {} of {}", in_ms(r.over_us, 1), in_ms(r.over_claimed_us, 1));
 }
 
-/// Chains of an app of version 2, each beside what is claimed of it.
+/// Chains, each beside what is claimed of it.
 std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
   // Of tables there is no bound, and not always a worst case.
   const auto claimed = [](std::int64_t us) { return us > 0 ? 1 : 0; };
@@ -93,7 +91,7 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
   return out;
 }
 
-/// Of several runs of an app of version 2: each chain under each policy.
+/// Of several runs: each chain under each policy.
 std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   std::string out;
   // A worst case that this run has refuted, or that it does not keep to, is marked.
@@ -131,9 +129,10 @@ std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>&
 }
 
 /// Chains and XNodes with limits. `who` begins each line: the policy, where there are several.
-std::string limits_table(const PolicyRun& run, int version, const std::string& who) {
+std::string limits_table(const PolicyRun& run, const std::string& who) {
   std::string out;
-  if (!run.report.routes.empty() && version == 1) {
+  if (std::any_of(run.report.routes.begin(), run.report.routes.end(),
+                  [](const runtime::RouteReport& r) { return r.max_age_us.has_value(); })) {
     out += fmt::format("\n  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n",
                        std::string(who.size(), ' '), "chain", "p50", "p99", "max", "deadline",
                        "age max", "missed", "old", "n");
@@ -180,7 +179,7 @@ std::string losses_of(const PolicyRun& run) {
 std::string spread_of(const std::vector<PolicyRun>& runs) {
   if (runs.size() < 2) return {};
   std::string out =
-      "\n  One run each. Within a run, in ms, from the 10th to the 90th percentile:\n";
+      "\n  Of a whole release, within a run, in ms, from the 10th to the 90th percentile:\n";
   for (const PolicyRun& run : runs)
     out += fmt::format("  {:<28}{:>9} to {:>6}\n", run.name,
                        in_ms(run.latency.p10_us, run.latency.count),
@@ -273,12 +272,6 @@ std::vector<Error> complaints(const PolicyRun& run) {
   return found;
 }
 
-/// How far a time is from the simulated one; nobody reads thousands of percent.
-std::string beside(std::int64_t us, std::int64_t simulated_us) {
-  const double times = static_cast<double>(us) / static_cast<double>(simulated_us);
-  return times < 10 ? fmt::format("{:+.1f} %", 100 * (times - 1)) : fmt::format("{:.0f} x", times);
-}
-
 /// What met a change.
 std::string nearest_text(const runtime::RunReport& report) {
   const runtime::SwitchReport* s = runtime::nearest(report);
@@ -361,13 +354,12 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
   const PolicyRun* base = ros2_of(runs);
   for (const PolicyRun& run : runs) {
     const std::size_t n = run.latency.count;
-    const auto misses = deadline_misses(flags, run);
+    const auto misses = deadline_misses(run);
     Json j = {{"policy", run.id},
               {"name", run.name},
               {"p50_us", or_null(run.latency.p50_us, n)},
               {"p99_us", or_null(run.latency.p99_us, n)},
               {"max_us", or_null(run.latency.max_us, n)},
-              {"predicted_us", or_null(run.predicted.makespan, flags.app.version == 1 ? 1 : 0)},
               {"mean_us", or_null(run.latency.mean_us, n)},
               {"p10_us", or_null(run.latency.p10_us, n)},
               {"p90_us", or_null(run.latency.p90_us, n)},
@@ -390,22 +382,12 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       j["p99_speedup_over_ros2"] = times;
     }
     if (run.policy) {
-      if (flags.app.version == 1) {
-        j["optimal"] = run.policy->optimal;
-        j["lower_bound_us"] = run.policy->lower_bound_us;
-      }
       if (const auto claims = key_claims_of(flags, run)) {
-        j["worst_case_of"] = kKeyScope;
+        j["worst_case_of"] = claims->scope;
         j["worst_case_exceeded"] = claims->exceeded;
         j["worst_case_broken"] = claims->broken;
       }
       if (claims_nothing(run)) j["certified"] = false;
-      if (const auto worst = worst_case_of(run)) {
-        j["worst_case_us"] = worst->us;
-        j["worst_case_of"] = kWorstCaseScope;
-        j["worst_case_exceeded"] = worst->exceeded;
-        j["worst_case_broken"] = worst->broken;
-      }
       Json placement = Json::object();
       for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
         placement[flags.app.xnodes[i].name] =
@@ -534,34 +516,20 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
 }
 
 std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  const PolicyRun* base = ros2_of(runs);
   std::string out = fmt::format("{} on {}{}, end-to-end latency in ms\n\n", flags.app.name,
                                 flags.spec.name, in_parentheses(flags.spec, flags.presence));
-  // Of version 2 a chain's time is one thing, and what sinks publish is another.
-  const bool by_chains = flags.app.version == 2 && runs.size() > 1;
+  const bool by_chains = runs.size() > 1;
   if (by_chains)
     out += compared_chains(flags, runs);
   else
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99",
-                       "max", "simulated", "p50/sim", "p99 x", "n");
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>6}\n", "policy", "p50", "p99", "max", "n");
   for (const PolicyRun& run : runs) {
     if (by_chains) break;
     const Latency& l = run.latency;
-    // With several rates a result is not of the one release that was simulated.
-    const bool same = l.count > 0 && !run.report.several_rates && run.predicted.makespan > 0;
-    const auto times = base == nullptr ? std::nullopt : ratio(base->latency, &Latency::p99_us, l);
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name,
-                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
-                       in_ms(run.predicted.makespan, flags.app.version == 1 ? 1 : 0),
-                       same ? beside(l.p50_us, run.predicted.makespan) : "-",
-                       base == nullptr ? ""
-                       : times         ? fmt::format("{:.2f}", *times)
-                                       : "-",
-                       l.count);
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>6}\n", run.name, in_ms(l.p50_us, l.count),
+                       in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count), l.count);
   }
-  if (base != nullptr && !by_chains)
-    out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";
-  if (!by_chains) out += spread_of(runs);
+  if (runs.size() > 1 && !runs.front().report.several_rates) out += spread_of(runs);
   for (const PolicyRun& run : runs) {
     if (run.scheduling == runtime::Scheduling::kXAuto)
       out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
@@ -573,16 +541,14 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
           "  {}: {}: {} suspensions, longest call {} us, longest that resumed {} us; preempt_us "
           "{}\n",
           run.name, of.xpu, of.suspensions, of.suspend_us, of.resume_us, of.preempt_us);
-    if (const auto worst = worst_case_of(run))
-      out += fmt::format("  {}: {}\n", run.name, to_string(*worst, Layout::kList));
     if (const auto of_tables = table_claims_of(flags, run)) out += tables_text(run, *of_tables);
     if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
-    if (flags.app.version == 2 && !by_chains) out += chains_table(flags, run);
+    if (!by_chains) out += chains_table(flags, run);
     if (!flags.deployment_path.empty() || run.report.several_rates)
-      out += limits_table(run, flags.app.version, runs.size() > 1 ? run.name + ": " : "");
-    if (const auto misses = deadline_misses(flags, run); misses.value_or(0) > 0)
+      out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");
+    if (const auto misses = deadline_misses(run); misses.value_or(0) > 0)
       out += fmt::format("  {}: {} deadline misses\n", run.name, *misses);
     if (run.outcome.trace.lost > 0)
       out += fmt::format("  {}: the trace lost {} events\n", run.name, run.outcome.trace.lost);
@@ -643,7 +609,6 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   scene.modules = std::move(modules);
   if (run.policy && !run.keys)  // keys are no priorities
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
-  scene.plan = run.predicted.slices;
   // No window ends with a key that is no claim.
   if (run.keys && run.keys->certified && run.scheduling == runtime::Scheduling::kXAuto) {
     scene.keys = &*run.keys;
@@ -670,13 +635,11 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.story) return tl::unexpected<Error>(run.story.error());
   const auto claims = key_claims_of(flags, run);
   const auto of_tables = table_claims_of(flags, run);
-  const auto worst = worst_case_of(run);
   return perfetto(flags, run, *run.story, modules_of(run.report),
                   claims ? to_string(*claims, Layout::kList)
                   : of_tables
                       ? to_string(*of_tables, taken_from(run.report, kEmulatorUs), Layout::kList)
-                  : worst ? to_string(*worst, Layout::kList)
-                          : "nothing is claimed of this run");
+                      : "nothing is claimed of this run");
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
@@ -704,20 +667,17 @@ std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
 story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   story::Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
-  const bool several = !runs.empty() && runs.front().report.several_rates;
-  timeline.note = fmt::format("{}, {} {} per policy; each chart shows {}", xpus_text(flags),
-                              runs.empty() ? 0 : runs.front().latency.count,
-                              several ? "results" : "activations",
-                              several ? "what ran from the slowest release of a chain to its result"
-                                      : "the activation of median latency");
+  timeline.note = fmt::format(
+      "{}, {} results per policy; each chart shows what ran from the slowest release of a chain to "
+      "its result",
+      xpus_text(flags), runs.empty() ? 0 : runs.front().latency.count);
   for (const PolicyRun& run : runs) {
     std::vector<story::Panel> panels;
-    if (run.report.several_rates || flags.app.version == 2)
-      if (const auto bytes = perfetto_of(flags, run))
-        if (const auto trace = story::read_trace(*bytes, run.name)) {
-          timeline.sections += story::counts_section(run.name, *trace);
-          panels = story::chain_panels(page_id(run.id), run.name, *trace);
-        }
+    if (const auto bytes = perfetto_of(flags, run))
+      if (const auto trace = story::read_trace(*bytes, run.name)) {
+        timeline.sections += story::counts_section(run.name, *trace);
+        panels = story::chain_panels(page_id(run.id), run.name, *trace);
+      }
     if (panels.empty()) {
       panels.push_back(panel_of(flags, run));
       panels.back().id = page_id(run.id);

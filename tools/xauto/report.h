@@ -15,7 +15,7 @@ namespace xauto::cli {
 /// the exit status will be 1.
 [[nodiscard]] bool is_healthy(const PolicyRun& run);
 
-/// {"runs":[{"policy":"ros2","p50_us":…,"p99_us":…,"max_us":…,"predicted_us":…,…},…],…},
+/// {"runs":[{"policy":"ros2","p50_us":…,"p99_us":…,"max_us":…,…},…],…},
 /// docs/formats.md.
 [[nodiscard]] std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 [[nodiscard]] std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs);

@@ -15,7 +15,6 @@
 #include "base/log.h"
 #include "kernel/probe.h"
 #include "model/json.h"
-#include "solver/problem.h"
 
 #include "xauto/command.h"
 #include "xauto/counts.h"
@@ -122,7 +121,7 @@ void RunFlags::declare(Verb verb) {
 }
 
 Status RunFlags::prepare() {
-  XAUTO_ASSIGN(app, load_any_app(app_path));
+  XAUTO_ASSIGN(app, load_app(app_path));
   XAUTO_ASSIGN(spec, load_platform(platform));
   XAUTO_TRY(validate_on(app, spec));
   if (emulator_modules) {
@@ -188,30 +187,9 @@ Latency summarise(const runtime::Distribution& us) {
           us.count(),       us.quantile(0.1),  us.quantile(0.9)};
 }
 
-Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
-                                   runtime::Scheduling scheduling,
-                                   const std::optional<Policy>& policy) {
-  XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
-  solver::Decision decision;
-  if (policy) {
-    for (const Placement& p : policy->placements) {
-      decision.xpu.push_back(p.xpu);
-      decision.priority.push_back(p.priority);
-    }
-    decision.order = policy->order;
-  }
-  solver::SimulateOptions options;
-  options.slices = true;
-  switch (scheduling) {
-    case runtime::Scheduling::kXAuto:
-      return solver::simulate(problem, decision, options);
-    case runtime::Scheduling::kTimeshare:
-      return solver::simulate_shared(problem, platform, solver::Model::kTimeshare, decision,
-                                     options);
-    case runtime::Scheduling::kRos2:
-      return solver::simulate_shared(problem, platform, solver::Model::kRos2, decision, options);
-  }
-  return fail(ErrorCode::kInternal, "unknown scheduling");
+void PolicyRun::take(KeyPolicy made) {
+  policy = assignment_of(made);
+  if (!made.by_priority()) keys = std::move(made);
 }
 
 Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop, Dump dump) {
@@ -249,7 +227,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
 
   // With several rates there are no releases to count by, but the time is known.
   double length_s = flags.seconds;
-  if (length_s <= 0 && flags.app.rates() > 1 && flags.period_us == 0)
+  if (length_s <= 0 && flags.app.rates() > 1)
     for (const SourceSpec& source : flags.app.sources)
       length_s = std::max(length_s, 1e-6 * static_cast<double>(flags.activations) *
                                         static_cast<double>(source.period.floor_us()));
@@ -386,7 +364,6 @@ story::Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
     panel.p99_us = run.latency.p99_us;
     panel.max_us = run.latency.max_us;
   }
-  if (flags.app.version == 1) panel.predicted_us = run.predicted.makespan;
   const runtime::ReleaseRecord* shown = nullptr;
   const trace::Recording& trace = run.outcome.trace;
   // What the trace no longer holds cannot be shown.
@@ -408,12 +385,6 @@ story::Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
     panel.shown = "the median";
     panel.measured = bars_of(flags, run.outcome.trace, shown->sequence, shown->origin_ns);
     for (Bar& bar : panel.measured) bar.row = row_of[static_cast<std::size_t>(bar.row)];
-  }
-  for (const solver::Slice& slice : run.predicted.slices) {
-    const XNodeSpec& spec = flags.app.xnodes[static_cast<std::size_t>(slice.xnode)];
-    panel.predicted.push_back({row_of[static_cast<std::size_t>(slice.xpu)], spec.name, spec.module,
-                               slice.begin, slice.end,
-                               slice.switching ? BarKind::kSwitch : BarKind::kRun});
   }
   return panel;
 }

@@ -84,12 +84,12 @@ struct PolicyRun {
   std::string id;    ///< "ros2", "heft", "xauto"; of a policy file its name
   std::string name;  ///< for people
   runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
-  std::optional<Policy> policy;   ///< none for ros2; of version 2: assignment_of(keys)
-  std::optional<KeyPolicy> keys;  ///< of an app of version 2
+  std::optional<Policy> policy;   ///< none for ros2; else assignment_of() what was taken
+  std::optional<KeyPolicy> keys;  ///< what was taken, unless it has priorities
+  void take(KeyPolicy made);
   /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
   std::optional<Tables> tables;
-  std::string untrue;            ///< why `xauto check` refuses the policy here; empty: not known
-  solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
+  std::string untrue;  ///< why `xauto check` refuses the policy here; empty: not known
   // Filled in by `execute`.
   runtime::RunReport report;
   launch::Outcome outcome;
@@ -99,11 +99,6 @@ struct PolicyRun {
 
 /// The modules of the run, as events name them.
 [[nodiscard]] std::vector<story::ModuleInfo> modules_of(const runtime::RunReport& report);
-
-/// What the simulator says of this policy and scheduling, of one release. Of an app of version 1.
-[[nodiscard]] Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
-                                                 runtime::Scheduling scheduling,
-                                                 const std::optional<Policy>& policy);
 
 /// Runs it. `dump` gets what surrounds a deadline miss or a hang, while the run goes on.
 using Dump = std::function<void(const launch::Incident&)>;
@@ -118,8 +113,7 @@ struct Rows {
 };
 [[nodiscard]] Rows rows_of(const Platform& platform, runtime::Scheduling scheduling);
 
-/// The measured bars of the activation whose latency is the median, and the predicted ones beside
-/// them.
+/// The measured bars of the activation whose latency is the median.
 [[nodiscard]] story::Panel panel_of(const RunFlags& flags, const PolicyRun& run);
 
 }  // namespace xauto::cli

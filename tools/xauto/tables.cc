@@ -105,7 +105,7 @@ void print_chains(const AppSpec& app, const Platform& platform, const Tables& ta
     std::printf("  MISSES THE DEADLINE: %s\n", missed.c_str());
 }
 
-/// All that the table serves keeps its deadlines; of version 1 those of a release.
+/// All that the table serves keeps its deadlines; of priorities those of a release.
 bool in_time(const Tables& tables, std::size_t table, const AppSpec& app) {
   if (tables.keys.empty())
     return std::none_of(tables.serves.begin(), tables.serves.end(), [&](const Served& served) {
@@ -203,9 +203,6 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
                 app.deadline_us && *longest->worst_case_us > *app.deadline_us
                     ? ", which MISSES THE DEADLINE"
                     : "");
-  if (longest != nullptr && longest->delay_us)
-    std::printf("  The next one waits for it: it comes at most %s later than planned.\n",
-                ms(*longest->delay_us).c_str());
   if (without > 0)
     std::printf(
         "  In %zu of %zu changes it may need an XPU that is lost: nothing is claimed of it then.\n",

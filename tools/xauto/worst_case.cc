@@ -22,28 +22,6 @@ std::string refused(const PolicyRun& run) {
 
 }  // namespace
 
-std::optional<WorstCase> worst_case_of(const PolicyRun& run) {
-  if (run.scheduling != runtime::Scheduling::kXAuto || !run.policy || !run.policy->worst_case_us)
-    return std::nullopt;
-  WorstCase worst;
-  worst.us = *run.policy->worst_case_us;
-  worst.exceeded = run.latency.max_us > worst.us;
-  worst.broken = run.report.unkept;
-  if (!run.untrue.empty()) worst.broken.push_back(refused(run));
-  if (run.latency.count == 0) worst.broken.emplace_back("no release was measured");
-  if (run.report.overlapping_releases > 0)
-    worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
-                                       run.report.overlapping_releases, run.report.num_releases));
-  if (std::string over = runtime::words_of_overruns(run.report); !over.empty())
-    worst.broken.push_back(std::move(over));
-  for (std::string& line : runtime::words_of_unended(run.report))
-    worst.broken.push_back(std::move(line));
-  for (std::string& line : runtime::words_of_deaths(run.report))
-    worst.broken.push_back(std::move(line));
-  worst.taken = taken_from(run.report, run.latency.max_us - worst.us);
-  return worst;
-}
-
 bool claims_nothing(const PolicyRun& run) {
   return run.keys && !run.keys->certified;
 }
@@ -64,6 +42,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
       (!run.keys && claimed.empty()))
     return std::nullopt;
   KeyClaims claims;
+  claims.scope = scope_of(flags.app.one_at_a_time);
   claims.broken = run.report.unkept;
   if (!run.untrue.empty()) claims.broken.push_back(refused(run));
   claims.broken.insert(claims.broken.end(), run.report.broken.begin(), run.report.broken.end());
@@ -127,13 +106,8 @@ std::string to_string(const runtime::TableClaims& claims, const std::vector<std:
 }
 
 std::string to_string(const KeyClaims& claims, Layout layout) {
-  return fmt::format("worst cases of {}: {}", kKeyScope,
+  return fmt::format("worst cases of {}: {}", claims.scope,
                      verdict(claims.exceeded, claims.broken, claims.taken, layout));
-}
-
-std::string to_string(const WorstCase& worst, Layout layout) {
-  return fmt::format("worst case {}, of {}: {}", ms(worst.us), kWorstCaseScope,
-                     verdict(worst.exceeded, worst.broken, worst.taken, layout));
 }
 
 }  // namespace xauto::cli

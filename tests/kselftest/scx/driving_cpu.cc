@@ -68,13 +68,26 @@ Module make_module(const std::string& name) {
 }
 
 int print_app_json() {
-  std::puts("{\"schema\": \"xauto.app\", \"version\": 1, \"name\": \"driving\", \"xnodes\": [");
+  std::puts(
+      "{\"schema\": \"xauto.app\", \"version\": 3, \"name\": \"driving\", \"sources\": "
+      "[{\"name\": \"camera/front\"}, {\"name\": \"camera/rear\"}, {\"name\": \"lidar/top\"}], "
+      "\"xnodes\": [");
+  const std::map<std::string, std::string> heard = {{"LA", "camera/front"},
+                                                    {"TD", "camera/front"},
+                                                    {"FCD", "camera/front"},
+                                                    {"RCD", "camera/rear"},
+                                                    {"LD", "lidar/top"}};
   std::vector<std::string> edges;
   std::map<std::string, std::string> first, last;
   bool comma = false;
   for (const driving::Stage& stage : driving::kStages) {
-    std::printf("%s{\"name\": \"%s\", \"module\": \"%s\", \"wcet_us\": {\"cpu\": %d}}",
-                comma ? ",\n" : "", stage.xnode, stage.module, cpu_us(stage) * 12 / 10);
+    const auto source = heard.find(stage.module);
+    const std::string hears = source == heard.end() || last.contains(stage.module)
+                                  ? ""
+                                  : "\"source\": \"" + source->second + "\", ";
+    std::printf("%s{\"name\": \"%s\", \"module\": \"%s\", %s\"wcet_us\": {\"cpu\": %d}}",
+                comma ? ",\n" : "", stage.xnode, stage.module, hears.c_str(),
+                cpu_us(stage) * 12 / 10);
     comma = true;
     if (last.contains(stage.module))
       edges.push_back("[\"" + last[stage.module] + "\", \"" + stage.xnode + "\"]");

@@ -72,7 +72,7 @@ std::string rows(const std::vector<Task>& tasks, Row row) {
 void print_app(const std::vector<Task>& tasks) {
   const auto us = [](std::int64_t v) { return std::to_string(v); };
   std::printf(
-      "{\"schema\": \"xauto.app\", \"version\": 2, \"name\": \"periodic\", \"sources\": [%s],\n",
+      "{\"schema\": \"xauto.app\", \"version\": 3, \"name\": \"periodic\", \"sources\": [%s],\n",
       rows(tasks, [&](std::size_t, const Task& t) {
         return "\", \"period_us\": " + us(t.period_us);
       }).c_str());
@@ -86,7 +86,7 @@ void print_app(const std::vector<Task>& tasks) {
 void print_policy(const std::vector<Task>& tasks, const char* hash) {
   const auto us = [](std::int64_t v) { return std::to_string(v); };
   std::printf(
-      "{\"schema\": \"xauto.policy\", \"version\": 2, \"app\": \"periodic\", \"app_hash\": "
+      "{\"schema\": \"xauto.policy\", \"version\": 3, \"app\": \"periodic\", \"app_hash\": "
       "\"%s\",\n"
       "\"platform\": \"cores\", \"method\": \"deadlines\", \"solve_ms\": 0, \"xnodes\": [%s],\n",
       hash, rows(tasks, [&](std::size_t, const Task& t) {

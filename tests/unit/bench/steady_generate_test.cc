@@ -116,7 +116,6 @@ TEST(SteadyGenerate, ScaleIsAsLargeAsItSays) {
 
 TEST(SteadyGenerate, LoadIsTheDualsOptimum) {
   AppSpec app;
-  app.version = 2;
   app.name = "a";
   app.sources = {{"s", {1000}}};
   app.xnodes = {{"x", "x", {{"cpu", 1000}}, {0}}, {"y", "y", {{"cpu", 1000}, {"gpu", 1000}}, {0}}};

@@ -15,7 +15,6 @@ namespace {
 SteadyCase small(std::int64_t preempt_us = 0) {
   SteadyCase made;
   made.name = "small";
-  made.app.version = 2;
   made.app.name = "small";
   made.app.sources = {{"slow", {100'000}}, {"fast", {10'000}}};
   made.app.xnodes = {{"x", "x", {{"cpu", 40'000}}, {0}},

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "base/socket.h"
+#include "model/periodic.h"
 
 namespace xauto::launch {
 namespace {
@@ -35,7 +36,11 @@ Supervision run_of(std::vector<std::string> command) {
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kRun;
   session.app.name = "app";
-  session.app.xnodes = {{"n", "m", {{"gpu", 1000}}}};
+  session.app.xnodes = {{"n", "m", {{"gpu", 1000}}, {0}}};
+  session.app.one_at_a_time = true;
+  session.app.sources = {{"s", kNoRate}};
+  complete_modules(session.app);
+  complete_chains(session.app);
   session.platform = {"two", {{"gpu0", "gpu"}, {"gpu1", "gpu"}}};
   session.presence = {Presence::kEmulated, Presence::kEmulated};
   session.policy.app = "app";

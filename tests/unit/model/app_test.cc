@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "model/json.h"
+#include "model/periodic.h"
 #include "model/profile.h"
 #include "model/tables.h"
 
@@ -13,10 +14,15 @@ namespace {
 AppSpec chain(int length) {
   AppSpec app;
   app.name = "chain";
+  app.one_at_a_time = true;
+  app.sources = {{"s", kNoRate}};
   for (int i = 0; i < length; ++i) {
     app.xnodes.push_back({"n" + std::to_string(i), "M", {{"cpu", 100 + i}}});
     if (i > 0) app.edges.emplace_back(i - 1, i);
   }
+  app.xnodes[0].sources = {0};
+  complete_modules(app);
+  complete_chains(app);
   return app;
 }
 
@@ -107,11 +113,13 @@ TEST(Profile, WcetIsTheWorstInstancesMaxPlusMarginRoundedUp) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   profile.margin_pct = 20;
   profile.xnodes = {
       {"x",
        "M",
        {{"cpu0", {100, 1, 2, 3, 101}}, {"cpu1", {100, 1, 2, 4, 52}}, {"gpu0", {100, 0, 0, 0, 0}}}}};
+  profile.xnodes[0].sources = {0};
   const AppSpec app = to_app(profile, platform, WcetFrom::kMaxPlusMargin).value();
   EXPECT_EQ(app.xnodes[0].wcet_on("cpu"), 122);  // 121.2
   EXPECT_EQ(app.xnodes[0].wcet_on("gpu"), 1) << "an XNode takes at least a microsecond";
@@ -123,7 +131,9 @@ TEST(Profile, FewSamplesHaveNoP99) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   profile.xnodes = {{"x", "M", {{"cpu0", {99, 1, 2, 3, 4}}}}};
+  profile.xnodes[0].sources = {0};
   EXPECT_FALSE(to_app(profile, platform, WcetFrom::kP99));
   profile.xnodes[0].on["cpu0"].count = 100;
   EXPECT_TRUE(to_app(profile, platform, WcetFrom::kP99));
@@ -133,7 +143,9 @@ TEST(Profile, WhereItWasNoStandInItIsReal) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   profile.xnodes = {{"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}, {"gpu0", {9, 1, 2, 3, 4}}}}};
+  profile.xnodes[0].sources = {0};
   profile.xnodes[0].on["gpu0"].emulated = true;
   const AppSpec app = to_app(profile, platform, WcetFrom::kMaxPlusMargin).value();
   EXPECT_EQ(app.xnodes[0].real_on, (std::set<std::string, std::less<>>{"cpu"}));
@@ -147,8 +159,10 @@ TEST(Profile, WhatInitAddedToTheMemoryIsToldByType) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   const Samples samples{9, 1, 2, 3, 4};
   profile.xnodes = {{"x", "M", {{"cpu0", samples}, {"cpu1", samples}, {"gpu0", samples}}}};
+  profile.xnodes[0].sources = {0};
   profile.xnodes[0].on["cpu0"].memory_kb = 0;
   profile.xnodes[0].on["cpu1"].memory_kb = 2048;
   profile.xnodes[0].variants = {{"small", 50, {{"gpu0", samples}}}};
@@ -173,7 +187,9 @@ TEST(Profile, TheMedianIsTheTypicalTime) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   profile.xnodes = {{"x", "M", {{"cpu0", {200, 1, 2, 9, 90}}, {"cpu1", {200, 1, 3, 9, 9}}}}};
+  profile.xnodes[0].sources = {0};
   profile.xnodes[0].beside["gpu"]["cpu0"] = {200, 1, 4, 8, 9};
   profile.xnodes[0].variants = {{"small", 50, {{"gpu0", {200, 0, 0, 8, 9}}}}};
   for (const WcetFrom from : {WcetFrom::kMaxPlusMargin, WcetFrom::kP99, WcetFrom::kP50}) {
@@ -240,10 +256,12 @@ TEST(Profile, WhatComesBackIsNoOutlier) {
 TEST(Profile, IncompleteOnesAreReadAsWritten) {
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   profile.conditions.emulated = true;
   profile.incomplete = "stopped by the user";
   profile.xnodes = {
       {"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}, {"cpu1", {9, 1, 2, 3, 40}}}, {}, {"gpu0"}}};
+  profile.xnodes[0].sources = {0};
   profile.xnodes[0].on["cpu0"].emulated = true;
   profile.xnodes[0].on["cpu1"].max_at = 3;
   profile.xnodes[0].on["cpu1"].outlier = Outlier{1, 4, 6};
@@ -255,7 +273,9 @@ TEST(Profile, IncompleteOnesAreReadAsWritten) {
 TEST(Profile, InstanceThatThePlatformLacksIsNamed) {
   Profile profile;
   profile.app = "a";
+  profile.sources = {{"s", {1000}}};
   profile.xnodes = {{"x", "M", {{"npu3", {9, 1, 2, 3, 4}}}}};
+  profile.xnodes[0].sources = {0};
   const auto app = to_app(profile, Platform::builtin("small").value(), WcetFrom::kP99);
   ASSERT_FALSE(app);
   EXPECT_NE(app.error().to_string().find("npu3"), std::string::npos);
@@ -285,7 +305,7 @@ TEST(Profile, WhatTheProgramAsksIsInItsApp) {
   EXPECT_EQ(*again, p);
   const auto app = to_app(p, Platform::builtin("small").value(), WcetFrom::kMaxPlusMargin);
   ASSERT_TRUE(app) << app.error().to_string();
-  EXPECT_EQ(app->version, 2);
+  EXPECT_FALSE(app->one_at_a_time);
   ASSERT_EQ(app->chains.size(), 3u);
   EXPECT_EQ(app->chains[0].deadline_us, 50'000);
   EXPECT_EQ(app->chains[1].deadline_us, 90'000) << "no deadline of its own";
@@ -299,15 +319,16 @@ TEST(Profile, WhatTheProgramAsksIsInItsApp) {
   EXPECT_EQ(*read, *app);
 }
 
-TEST(Profile, OfOneReleaseTheDeadlineIsThatOfTheWhole) {
+TEST(Profile, TheDeadlineOfTheWholeIsThatOfEachChain) {
   Profile p = of_two_rates();
   p.asks = {};
   p.asks.deadline_us = 90'000;
   p.sources[0] = {"camera", {100'000}};
   const auto app = to_app(p, Platform::builtin("small").value(), WcetFrom::kMaxPlusMargin);
   ASSERT_TRUE(app) << app.error().to_string();
-  EXPECT_EQ(app->version, 1);
   EXPECT_EQ(app->deadline_us, 90'000);
+  ASSERT_EQ(app->chains.size(), 2u);
+  for (const ChainSpec& one : app->chains) EXPECT_EQ(one.deadline_us, 90'000) << one.name;
 }
 
 TEST(Profile, WhatNoPolicyCanHoldIsSaidBeforeItIsMeasured) {

@@ -17,7 +17,7 @@ using namespace literals;
 
 /// What `profile` made of a program: camera -> a -> b, lidar -> c.
 AppSpec fresh_app() {
-  return parse_app(R"({"schema": "xauto.app", "version": 2, "name": "p",
+  return parse_app(R"({"schema": "xauto.app", "version": 3, "name": "p",
     "sources": [{"name": "camera", "rate_hz": 30, "jitter_us": 300}, {"name": "lidar", "period_us": 100000, "jitter_us": 300}],
     "xnodes": [{"name": "a", "module": "m", "source": "camera", "wcet_us": {"cpu": 10}},
                {"name": "b", "module": "m", "wcet_us": {"cpu": 20}},
@@ -51,7 +51,7 @@ Kept keep(const std::string& old) {
 
 std::string old_app(const std::string& sources, const std::string& more = "",
                     const std::string& last = "c") {
-  return R"({"schema": "xauto.app", "version": 2, "name": "p", "sources": [)" + sources + R"(],
+  return R"({"schema": "xauto.app", "version": 3, "name": "p", "sources": [)" + sources + R"(],
     "xnodes": [{"name": "a", "module": "m", "source": "camera", "wcet_us": {"cpu": 99}},
                {"name": "b", "module": "m", "wcet_us": {"cpu": 99}},
                {"name": ")" +
@@ -81,13 +81,6 @@ TEST(Asked, WhatSourcesAreToldStays) {
   EXPECT_TRUE(kept.says("source 'camera': 60 Hz") || kept.says("source 'camera': 16666"))
       << kept.lines[0];
   EXPECT_TRUE(kept.says("jitter_us 900"));
-}
-
-// An earlier profile of the same program wrote 33333 us: that is not what a person asked for.
-TEST(Asked, ARateThatWasCutGivesWayToTheRate) {
-  const Kept kept = keep(
-      old_app(R"({"name": "camera", "period_us": 33333}, {"name": "lidar", "period_us": 100000})"));
-  EXPECT_EQ(kept.app.sources[0].period, Period::of_rate("30").value());
 }
 
 TEST(Asked, ChainsWithDeadlinesStayAndNewEndsGetOne) {

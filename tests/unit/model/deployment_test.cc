@@ -8,8 +8,8 @@ namespace xauto {
 namespace {
 
 AppSpec make_app() {
-  return {1,
-          "drive",
+  return {"drive",
+          false,
           {{"a1", "A", {{"cpu", 10}}},
            {"a2", "A", {{"gpu", 10}}},
            {"b1", "B", {{"cpu", 10}}},

@@ -13,7 +13,6 @@ struct Chain {
   Platform platform{"p", {{"cpu0", "cpu", true, 100}, {"gpu0", "gpu", false, 0}}};
   KeyPolicy keys;
   Chain() {
-    app.version = 2;
     app.name = "chain";
     app.clocks = {{"main", 0}};
     app.sources = {{"s", {10'000, 1}}};

@@ -8,6 +8,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "model/periodic.h"
+
 #include "app_text.h"
 
 namespace xauto {
@@ -68,11 +70,16 @@ TEST(Json, MessagesStayShortHoweverLongTheValue) {
 TEST(Json, LargeAppRoundTrips) {
   AppSpec app;
   app.name = "large";
+  app.one_at_a_time = true;
+  app.sources = {{"s", kNoRate}};
   for (int i = 0; i < 1000; ++i) {
     app.xnodes.push_back(
         {"n" + std::to_string(i), "M" + std::to_string(i / 10), {{"cpu", 1 + i}, {"gpu", 2}}});
     for (int j = std::max(0, i - 5); j < i; ++j) app.edges.emplace_back(j, i);
   }
+  app.xnodes[0].sources = {0};
+  complete_modules(app);
+  complete_chains(app);
   const std::string text = to_json(app);
   const auto again = parse_app(text, "large.json");
   ASSERT_TRUE(again) << again.error().to_string();
@@ -91,22 +98,24 @@ TEST(Json, AListOfAMillionObjectsIsReadAtOnce) {
 TEST(Json, PolicyMayListXNodesInAnyOrder) {
   const Platform platform = Platform::builtin("small").value();
   AppSpec app = parse_app(app_text(""), "a.json").value();
-  app.xnodes.push_back({"y", "M", {{"gpu", 5}}});
-  Policy policy;
+  app.xnodes.push_back({"y", "N", {{"gpu", 5}}, {0}});
+  KeyPolicy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.method = "heft";
-  policy.placements = {{0, 2, 0, 1}, {platform.find("gpu0"), 1, 0, 5}};
-  policy.latency_us = 5;
+  policy.placements = {{0, {}}, {platform.find("gpu0"), {}}};
+  policy.placements[0].priority = 2;
+  policy.placements[1].priority = 1;
+  policy.certified = false;
   std::string text = to_json(policy, app, platform);
   const std::size_t x = text.find(R"({ "name": "x")"), y = text.find(R"({ "name": "y")");
   ASSERT_LT(x, y);
   std::swap(text[x + 11], text[y + 11]);
-  const auto swapped = parse_policy(text, "p.json", app, platform);
+  const auto swapped = parse_key_policy(text, "p.json", app, platform);
   ASSERT_FALSE(swapped);
   EXPECT_EQ(swapped.error().where, "p.json: /xnodes/1/xpu") << swapped.error().to_string();
-  policy.placements[1] = {platform.find("gpu0"), 1, 0, 5};
-  EXPECT_EQ(parse_policy(to_json(policy, app, platform), "p.json", app, platform).value(), policy);
+  EXPECT_EQ(parse_key_policy(to_json(policy, app, platform), "p.json", app, platform).value(),
+            policy);
 }
 
 TEST(Json, LevelsAreOfAPreemptiveXpuAlone) {

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
+#include <map>
 #include <set>
 #include <sstream>
 
@@ -52,24 +53,29 @@ void describe(const json& root, const json& schema, const std::string& path,
       describe(root, schema[each], path + "/*", keys);
 }
 
-/// Reads a text of a format: the name of its schema in docs/schema/.
-Status read(const std::string& format, const std::string& text, Keys* keys) {
+/// "tables" of "tables-keys": golden files of one format begin with its name.
+std::string format_of(const std::string& golden) {
+  return golden.substr(0, golden.find('-'));
+}
+
+/// Reads a text of the kind of a golden file.
+Status read(const std::string& kind, const std::string& text, Keys* keys) {
   const auto golden = [](const char* name) { return slurp(kSource + "/tests/golden/" + name); };
   static const AppSpec app = parse_app(golden("app.json"), "app.json").value(),
-                       app_2 = parse_app(golden("app-2.json"), "app-2.json").value();
+                       rates = parse_app(golden("app-rates.json"), "app-rates.json").value();
   static const Platform platform = parse_platform(golden("platform.json"), "platform.json").value();
   const auto status = [](auto result) {
     return result ? Status() : Status(tl::unexpected<Error>(std::move(result).error()));
   };
-  if (format == "app" || format == "app-2") return status(parse_app(text, format, keys));
+  const std::string format = format_of(kind);
+  const AppSpec& of = kind.ends_with("-keys") ? rates : app;
+  if (format == "app") return status(parse_app(text, format, keys));
   if (format == "platform") return status(parse_platform(text, format, keys));
   if (format == "profile") return status(parse_profile(text, format, keys));
-  if (format == "policy") return status(parse_policy(text, format, app, platform, keys));
-  if (format == "policy-2") return status(parse_key_policy(text, format, app_2, platform, keys));
-  if (format == "tables-2") return status(parse_tables(text, format, app_2, platform, keys));
+  if (format == "policy") return status(parse_key_policy(text, format, of, platform, keys));
   if (format == "scenarios") return status(parse_scenarios(text, format, app, platform, keys));
   if (format == "emulation") return status(parse_emulation_script(text, format, platform, keys));
-  if (format == "tables") return status(parse_tables(text, format, app, platform, keys));
+  if (format == "tables") return status(parse_tables(text, format, of, platform, keys));
   return status(parse_deployment(text, format, app, keys));
 }
 
@@ -90,25 +96,24 @@ std::string golden(const std::string& format) {
   return slurp(kSource + "/tests/golden/" + format + ".json");
 }
 
-/// -2: version 2 of it.
-const char* const kFormats[] = {"app",        "platform", "profile",  "policy",
-                                "deployment", "app-2",    "policy-2", "scenarios",
-                                "tables",     "tables-2", "emulation"};
+const char* const kGolden[] = {"app",    "app-rates",   "platform",  "profile",
+                               "policy", "policy-keys", "scenarios", "deployment",
+                               "tables", "tables-keys", "emulation"};
 
 TEST(Keys, SchemasHaveTheKeysThatTheReadersAskFor) {
-  for (const std::string format : kFormats) {
+  std::map<std::string, std::set<std::string>> known;  // by format
+  for (const std::string kind : kGolden)
+    for (const std::string& text : {golden(kind), with_other_keys(kind)}) {
+      if (text.empty()) continue;
+      const Keys keys = keys_of(kind, text);
+      known[format_of(kind)].insert(keys.known.begin(), keys.known.end());
+      EXPECT_TRUE(keys.unknown.empty()) << kind << ": " << keys.unknown.front().where;
+    }
+  for (const auto& [format, keys] : known) {
     const json schema = json::parse(slurp(kSource + "/docs/schema/" + format + ".schema.json"));
     std::set<std::string> described;
     describe(schema, schema, "", described);
-    const Keys keys = keys_of(format, golden(format));
-    std::set<std::string> known(keys.known.begin(), keys.known.end());
-    if (const std::string text = with_other_keys(format); !text.empty()) {
-      const Keys more = keys_of(format, text);
-      known.insert(more.known.begin(), more.known.end());
-      EXPECT_TRUE(more.unknown.empty()) << format << ": " << more.unknown.front().where;
-    }
-    EXPECT_EQ(described, known) << format;
-    EXPECT_TRUE(keys.unknown.empty()) << format << ": " << keys.unknown.front().where;
+    EXPECT_EQ(described, keys) << format;
   }
 }
 
@@ -157,10 +162,11 @@ TEST(Keys, NoMisspeltKeyPassesInSilence) {
           spoil(format, schema, whole, at[name]);
         }
       };
-  for (const std::string format : kFormats) {
-    json document = json::parse(golden(format));
-    const json schema = json::parse(slurp(kSource + "/docs/schema/" + format + ".schema.json"));
-    spoil(format, schema, document, document);
+  for (const std::string kind : kGolden) {
+    json document = json::parse(golden(kind));
+    const json schema =
+        json::parse(slurp(kSource + "/docs/schema/" + format_of(kind) + ".schema.json"));
+    spoil(kind, schema, document, document);
   }
   EXPECT_GE(told, 40);
   EXPECT_GE(refused, 80);
@@ -168,8 +174,10 @@ TEST(Keys, NoMisspeltKeyPassesInSilence) {
 
 TEST(Keys, TyposOfTheIssueAreNamedWithWhatWasMeant) {
   Keys keys;
-  ASSERT_TRUE(
-      parse_app(app_text(R"(,"deadine_us":5,"pinz":[],"chains":[{"weigh":1}])"), "a.json", &keys));
+  ASSERT_TRUE(parse_app(
+      app_text(
+          R"(,"deadine_us":5,"pinz":[],"chains":[{"name":"c","from":"s","to":"x","weigh":1}])"),
+      "a.json", &keys));
   ASSERT_EQ(keys.unknown.size(), 3u);
   EXPECT_EQ(keys.unknown[0].where, "/chains/0/weigh");
   EXPECT_EQ(keys.unknown[0].nearest, "weight");
@@ -202,15 +210,16 @@ TEST(Keys, NamesThatTheFileChoosesAreNoKeys) {
                              R"("xpus":[{"id":"c","type":"cpu"}]})",
                              "p.json", &keys));
   EXPECT_TRUE(keys.unknown.empty());
-  ASSERT_TRUE(parse_app(R"({"schema":"xauto.app","version":1,"name":"a","edges":[],"xnodes":[)"
-                        R"({"name":"x","module":"M","wcet_us":{"cpu":1,"name":2,"anything":3}}]})",
-                        "a.json", &keys));
+  std::string text = app_text("");
+  const std::string wcet = R"("cpu":1)";
+  text.replace(text.find(wcet), wcet.size(), R"("cpu":1,"name":2,"anything":3)");
+  ASSERT_TRUE(parse_app(text, "a.json", &keys));
   EXPECT_TRUE(keys.unknown.empty()) << keys.unknown.front().where;
 }
 
 TEST(Keys, AClockThatIsNowhereDeclaredIsTold) {
-  const std::string text = golden("app-2");
-  Keys keys = keys_of("app-2", text);
+  const std::string text = golden("app-rates");
+  Keys keys = keys_of("app-rates", text);
   EXPECT_TRUE(keys.undeclared.empty()) << keys.undeclared.front().where;
   json document = json::parse(text);
   std::size_t with_clock = 0;
@@ -222,7 +231,7 @@ TEST(Keys, AClockThatIsNowhereDeclaredIsTold) {
     source["clock"] = "lidra";
     break;
   }
-  keys = keys_of("app-2", document.dump());
+  keys = keys_of("app-rates", document.dump());
   ASSERT_EQ(keys.undeclared.size(), 1u);
   EXPECT_EQ(keys.undeclared[0].where, "/sources/" + std::to_string(with_clock) + "/clock");
   EXPECT_NE(keys.undeclared[0].said.find("clock 'lidra' is not in \"clocks\" (known: main, lidar"),

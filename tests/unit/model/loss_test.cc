@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "model/json.h"
+#include "model/periodic.h"
 #include "model/profile.h"
 #include "model/tables.h"
 
@@ -14,8 +15,10 @@ namespace {
 AppSpec app_of() {
   AppSpec app;
   app.name = "car";
+  app.one_at_a_time = true;
   app.deadline_us = 1000;
-  app.xnodes = {{"see.a", "see", {{"cpu", 100}, {"gpu", 40}}},
+  app.sources = {{"camera", kNoRate}};
+  app.xnodes = {{"see.a", "see", {{"cpu", 100}, {"gpu", 40}}, {0}},
                 {"see.b", "see", {{"gpu", 300}}},
                 {"act", "act", {{"cpu", 50}}},
                 {"show.draw", "show", {{"cpu", 200}, {"gpu", 100}}},
@@ -26,6 +29,9 @@ AppSpec app_of() {
   app.xnodes[3].variants = {{"lines", 90, {{"cpu", 20}}}};
   app.modules = {{"show", 1, true}, {"log", 1, true}};
   app.edges = {{0, 1}, {1, 2}, {1, 3}, {3, 4}};
+  complete_modules(app);
+  complete_chains(app);
+  give_deadlines(app);
   return app;
 }
 
@@ -59,7 +65,7 @@ TEST(Loss, WhatIsLeftHasTheVariantsTimesAndNoModuleThatIsOff) {
   ASSERT_TRUE(validate(loss, app, "/t"));
   EXPECT_EQ(kept(app, loss), (std::vector<int>{0, 1, 2, 3}));
   const AppSpec left = app_with(app, loss);
-  ASSERT_TRUE(validate(left)) << validate(left).error().to_string();
+  ASSERT_TRUE(validate_graph(left)) << validate_graph(left).error().to_string();
   ASSERT_EQ(left.xnodes.size(), 4u);
   EXPECT_EQ(left.xnodes[0], app.xnodes[0]);
   EXPECT_EQ(left.xnodes[1].wcet_us, app.xnodes[1].variants[1].wcet_us);
@@ -102,6 +108,12 @@ TEST(Loss, IsRefusedWhereItWouldStarveOrIsNotThere) {
   all.modules = {{"act", 1, true}, {"log", 1, true}, {"see", 1, true}, {"show", 1, true}};
   ASSERT_FALSE(validate(all)) << "nothing would be left";
   EXPECT_EQ(validate(all).error().where, "/modules");
+  all.one_at_a_time = false;  // with rates they may be, and each table keeps a chain
+  all.sources[0].period = {10'000};
+  ASSERT_TRUE(validate(all)) << validate(all).error().to_string();
+  const Status nothing = validate(Loss{{}, {"act", "log", "see", "show"}}, all, "/t");
+  ASSERT_FALSE(nothing) << "nothing would be left";
+  EXPECT_EQ(nothing.error().to_string(), "/t/off: leaves no chain without a module that is off");
 }
 
 TEST(Loss, NobodyWhoIsNeededWaitsForAnOptionalModule) {
@@ -112,7 +124,7 @@ TEST(Loss, NobodyWhoIsNeededWaitsForAnOptionalModule) {
   EXPECT_EQ(status.error().where, "/edges/4");
   EXPECT_EQ(status.error().what,
             "module 'act' waits for module 'show', which is optional, and is not optional itself");
-  app.modules.push_back({"act", 1, true});
+  app.modules[1].optional = true;
   EXPECT_TRUE(validate(app));
 }
 
@@ -136,7 +148,7 @@ TEST(Loss, BelongsToTheHashOfAnApp) {
   other.xnodes[1].variants[0].wcet_us["gpu"] = 121;
   EXPECT_NE(other.hash(), app.hash());
   other = app;
-  other.modules[0].optional = false;
+  other.modules[2].optional = false;
   EXPECT_NE(other.hash(), app.hash());
   std::swap((other = app).modules[0], other.modules[1]);
   EXPECT_EQ(other.hash(), app.hash()) << "the order of modules means nothing";
@@ -169,7 +181,8 @@ Profile profile_of(std::int64_t times) {
     s.emulated = true;
     return s;
   };
-  profile.xnodes = {{"see.b", "see", {{"cpu0", samples(500)}, {"gpu0", samples(300)}}},
+  profile.sources = {{"camera", {33'333}}};
+  profile.xnodes = {{"see.b", "see", {{"cpu0", samples(500)}, {"gpu0", samples(300)}}, {0}},
                     {"log", "log", {{"cpu0", samples(70)}}}};
   profile.xnodes[0].variants = {{"small", 60, {{"gpu0", samples(120)}}}};
   profile.xnodes[0].variants[0].beside = {{"cpu", {{"gpu0", samples(130)}}}};
@@ -190,7 +203,7 @@ TEST(Loss, ComesFromProfiles) {
   EXPECT_EQ(app->xnodes[0].variants[0].quality_pct, 60);
   EXPECT_EQ(app->xnodes[0].variants[0].wcet_us, (decltype(VariantSpec::wcet_us){{"gpu", 143}}))
       << "beside a load it took longest, and a tenth more";
-  EXPECT_EQ(app->modules, (std::vector<ModuleSpec>{{"log", 1, true}}));
+  EXPECT_EQ(app->modules, (std::vector<ModuleSpec>{{"see", 1, false}, {"log", 1, true}}));
 
   const std::vector<NamedProfile> both{{"full", once}, {"half", profile_of(2)}};
   const auto scenarios = scenarios_of(both, platform_of(), WcetFrom::kMaxPlusMargin);

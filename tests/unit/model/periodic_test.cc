@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Apps of version 2: their components, chains and hash. What their files may not say:
-// tests/golden/errors/app-2.
+// Components, chains and hash of apps, with rates and one at a time. What their files may not say, too:
+// tests/golden/errors/app.txt.
 #include "model/periodic.h"
 
 #include <gtest/gtest.h>
@@ -14,13 +14,12 @@ namespace xauto {
 namespace {
 
 AppSpec periodic_app() {
-  return parse_app(test::slurp(test::golden() / "app-2.json"), "app-2.json").value();
+  return parse_app(test::slurp(test::golden() / "app-rates.json"), "app-rates.json").value();
 }
 
 /// One XNode per source, each a module and a component.
 AppSpec islands(const std::vector<SourceSpec>& sources) {
   AppSpec app;
-  app.version = 2;
   app.name = "islands";
   app.sources = sources;
   for (std::size_t i = 0; i < sources.size(); ++i) {
@@ -161,7 +160,8 @@ TEST(Periodic, HashChangesWithEveryThingThatAClaimDependsOn) {
     change(other);
     EXPECT_TRUE(hashes.insert(other.hash()).second) << what;
   };
-  differs("version", [](AppSpec& a) { a.version = 1; });
+  differs("one at a time", [](AppSpec& a) { a.one_at_a_time = true; });
+  differs("deadline of all", [](AppSpec& a) { a.deadline_us = 1; });
   differs("clock", [](AppSpec& a) { a.clocks[1].name = "l"; });
   differs("ppm", [](AppSpec& a) { ++a.clocks[1].ppm; });
   differs("clock of a source", [](AppSpec& a) { a.sources[0].clock = 1; });
@@ -195,7 +195,7 @@ TEST(Periodic, HashChangesWithEveryThingThatAClaimDependsOn) {
 
 TEST(Periodic, WhatAFileLeavesOutIsFilledIn) {
   const AppSpec app =
-      parse_app(R"({"schema":"xauto.app","version":2,"name":"a","edges":[],)"
+      parse_app(R"({"schema":"xauto.app","version":3,"name":"a","edges":[],)"
                 R"("sources":[{"name":"s","rate_hz":29.97,"clock":"ptp"}],)"
                 R"("xnodes":[{"name":"x","module":"M","source":"s","wcet_us":{"cpu":1}}]})",
                 "a.json")
@@ -209,7 +209,7 @@ TEST(Periodic, WhatAFileLeavesOutIsFilledIn) {
 }
 
 TEST(Periodic, UrgentReleasesAreRead) {
-  AppSpec app = parse_app(test::slurp(test::golden() / "app-2.json"), "a").value();
+  AppSpec app = parse_app(test::slurp(test::golden() / "app-rates.json"), "a").value();
   const std::string hash = app.hash();
   app.sources[0].urgent = {2000, 1'000'000};
   ASSERT_TRUE(validate(app)) << validate(app).error().to_string();
@@ -255,50 +255,307 @@ TEST(KeyPolicy, SaysTheUrgentWorstCaseWhereTheSourceMayBe) {
   EXPECT_FALSE(validate(policy, app, platform));
 }
 
-// In memory, version 1 could carry what its file has no place for.
-TEST(Periodic, Version1HasNothingOfVersion2) {
-  const AppSpec plain = parse_app(test::slurp(test::golden() / "app-sources.json"), "a").value();
-  ASSERT_TRUE(validate(plain));
-  const auto refused = [&](const auto& change) {
-    AppSpec app = plain;
-    change(app);
-    return !validate(app).has_value();
+// ---- sources without a rate ---------------------------------------------------------------------
+
+/// a (camera) -> b; c (lidar), without a chain.
+std::string one_at_a_time(const std::string& more = "",
+                          const std::string& sources = R"({"name":"camera"},{"name":"lidar"})") {
+  return R"({"schema":"xauto.app","version":3,"name":"once","sources":[)" + sources +
+         R"(],"xnodes":[{"name":"a","module":"A","source":"camera","wcet_us":{"cpu":10}},)"
+         R"({"name":"b","module":"B","wcet_us":{"cpu":10}},)"
+         R"({"name":"c","module":"C","source":"lidar","wcet_us":{"cpu":10}}],)"
+         R"("edges":[["a","b"]])" +
+         more + "}";
+}
+/// Where and what is refused, and the hint; "": nothing is.
+std::string refusal_of_app(const std::string& text) {
+  const auto app = parse_app(text, "a.json");
+  return app ? std::string() : app.error().to_string();
+}
+
+TEST(OneAtATime, IsAnAppOfWhichNoSourceHasARate) {
+  const auto app = parse_app(one_at_a_time(), "a.json");
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_TRUE(app->one_at_a_time);
+  EXPECT_EQ(app->rates(), 1u);
+  for (const SourceSpec& source : app->sources) EXPECT_EQ(source.period, kNoRate);
+  const std::string text = to_json(*app);
+  EXPECT_EQ(text.find("period_us"), std::string::npos);
+  EXPECT_EQ(parse_app(text, "again").value(), *app);
+  AppSpec hourly = *app;  // that is something else
+  hourly.one_at_a_time = false;
+  EXPECT_NE(hourly.hash(), app->hash());
+}
+
+TEST(OneAtATime, AllSourcesHaveARateOrNoneHas) {
+  const std::string hint = "hint: give every source a rate, or none";
+  for (const auto& [sources, where] : std::vector<std::pair<std::string, std::string>>{
+           {R"({"name":"camera"},{"name":"lidar","rate_hz":10})", "/sources/1: has a rate"},
+           {R"({"name":"camera","period_us":10},{"name":"lidar"})", "/sources/1: has neither"},
+           {R"({"name":"camera"},{"name":"lidar"},{"name":"radar","period_us":10})",
+            "/sources/2: has a rate"}}) {
+    const std::string said = refusal_of_app(one_at_a_time("", sources));
+    EXPECT_NE(said.find("a.json: " + where), std::string::npos) << said;
+    EXPECT_NE(said.find(hint), std::string::npos) << said;
+  }
+}
+
+TEST(OneAtATime, WhatNeedsARateIsRefused) {
+  const std::string hint = "hint: give every source a rate";
+  const auto refused = [&](const std::string& text, const std::string& where) {
+    const std::string said = refusal_of_app(text);
+    EXPECT_EQ(said.find("a.json: " + where + ": "), 0u) << said;
+    EXPECT_NE(said.find(hint), std::string::npos) << said;
   };
-  EXPECT_TRUE(refused([](AppSpec& a) { a.sources[0].period = {100'000, 3}; }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.sources[0].jitter_us = 1; }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.clocks.push_back({"lidar", 1}); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.modules.push_back({"FCD", 2}); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.samples.emplace_back(2, 3); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.chains.push_back({"c", 0, 2}); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.transfers.push_back({0, "cpu", "gpu", 1}); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.version = 3; }));
+  for (const char* rest : {R"("offset_us":5)", R"("jitter_us":1)", R"("clock":"lens")",
+                           R"("urgent":{"by_us":1,"every_us":3600000000})"})
+    refused(one_at_a_time("", R"({"name":"camera"},{"name":"lidar",)" + std::string(rest) + "}"),
+            "/sources/1");
+  EXPECT_EQ(
+      refusal_of_app(one_at_a_time(
+          "", R"({"name":"camera","offset_us":0,"jitter_us":0,"clock":"main"},{"name":"lidar"})")),
+      "")
+      << "that says nothing";
+  refused(one_at_a_time(R"(,"samples":[["b","c"]])"), "/samples/0");
+  refused(one_at_a_time(R"(,"modules":[{"name":"B","max_in_flight":2}])"),
+          "/modules/1/max_in_flight");
+  AppSpec app = parse_app(one_at_a_time(), "a.json").value();
+  app.sources[1].period = {10};  // only in memory
+  ASSERT_FALSE(validate(app));
+  EXPECT_EQ(validate(app).error().where, "/sources/1");
 }
 
-TEST(Periodic, AppOfVersion1BecomesOneOfVersion2WhereItsPeriodsAllow) {
-  AppSpec app = parse_app(test::slurp(test::golden() / "app-sources.json"), "a").value();
-  const auto refused = as_version_2(app);
-  ASSERT_FALSE(refused) << "an XNode hears of 33333 us and of 100000 us";
-  EXPECT_EQ(refused.error().where, "/xnodes/3/source");
-  app.xnodes[3].sources = {1};
-  const auto periodic = as_version_2(app);
-  ASSERT_TRUE(periodic) << periodic.error().to_string();
-  EXPECT_EQ(periodic->version, 2);
-  EXPECT_EQ(periodic->modules.size(), 2u);
-  ASSERT_EQ(periodic->chains.size(), 2u);
-  EXPECT_EQ(periodic->chains[0].deadline_us, app.deadline_us);
-  EXPECT_EQ(parse_app(to_json(*periodic), "a").value(), *periodic);
-  app.xnodes[3].sources.clear();
-  EXPECT_FALSE(as_version_2(app)) << "nothing releases it";
+// kNoRate is the hour of Period's limit: a release that takes longer would meet the next one.
+TEST(OneAtATime, AReleaseTakesAnHourAtMost) {
+  AppSpec app = parse_app(one_at_a_time(), "a.json").value();
+  const Platform platform{"one", {{"cpu0", "cpu"}}};
+  app.xnodes[0].wcet_us["cpu"] = kMaxPeriodUs - 20;
+  EXPECT_TRUE(validate_on(app, platform)) << validate_on(app, platform).error().to_string();
+  ++app.xnodes[0].wcet_us["cpu"];
+  const Status over = validate_on(app, platform);
+  ASSERT_FALSE(over);
+  EXPECT_NE(over.error().what.find("a release takes up to 3600000000 us"), std::string::npos)
+      << over.error().what;
+  app.one_at_a_time = false;
+  EXPECT_TRUE(validate_on(app, platform)) << "with rates one release may overlap the next";
 }
 
-// Nobody who plans one release takes it for one.
-TEST(Periodic, LoadAppTakesVersion1Alone) {
-  const std::string path = (test::golden() / "app-2.json").string();
-  const auto refused = load_app(path);
+// ---- chains of "*" ------------------------------------------------------------------------------
+
+/// camera -> a -> b; camera and rear -> c -> b, d.
+std::string forked(const std::string& chains) {
+  return R"({"schema":"xauto.app","version":3,"name":"fork",)"
+         R"("sources":[{"name":"camera","rate_hz":10},{"name":"rear","rate_hz":10}],)"
+         R"("xnodes":[{"name":"a","module":"A","source":"camera","wcet_us":{"cpu":10}},)"
+         R"({"name":"b","module":"B","wcet_us":{"cpu":10}},)"
+         R"({"name":"c","module":"C","source":["camera","rear"],"wcet_us":{"cpu":10}},)"
+         R"({"name":"d","module":"D","wcet_us":{"cpu":10}}],)"
+         R"("edges":[["a","b"],["c","b"],["c","d"]],"deadline_us":900,"chains":)" +
+         chains + "}";
+}
+/// "from to deadline weight" of each chain, as it stands.
+std::vector<std::string> chains_of(const std::string& text) {
+  const auto app = parse_app(text, "a.json");
+  EXPECT_TRUE(app) << app.error().to_string();
+  std::vector<std::string> all;
+  if (!app) return all;
+  for (const ChainSpec& chain : app->chains)
+    all.push_back(app->sources[static_cast<std::size_t>(chain.from)].name + " " +
+                  app->xnodes[static_cast<std::size_t>(chain.to)].name + " " +
+                  std::to_string(chain.deadline_us.value_or(0)) + " " +
+                  std::to_string(chain.weight));
+  EXPECT_EQ(parse_app(to_json(*app), "again").value(), *app);
+  return all;
+}
+using Lines = std::vector<std::string>;
+
+TEST(EveryChain, IsOfEverySourceOrOfEveryLastXNodeOrOfBoth) {
+  const Lines all = {"camera b 500 2", "camera d 500 2", "rear b 500 2", "rear d 500 2"};
+  EXPECT_EQ(chains_of(forked(R"([{"from":"*","to":"*","deadline_us":500,"weight":2}])")), all);
+  EXPECT_EQ(chains_of(forked(R"([{"from":"*","to":"d","deadline_us":500}])")),
+            (Lines{"camera d 500 1", "rear d 500 1"}));
+  EXPECT_EQ(chains_of(forked(R"([{"from":"rear","to":"*"}])")),
+            (Lines{"rear b 900 1", "rear d 900 1"}))
+      << "the deadline of all where it has none";
+}
+
+TEST(EveryChain, IsOfThoseThatNoOtherEntrySays) {
+  EXPECT_EQ(
+      chains_of(forked(R"([{"from":"*","to":"*","deadline_us":500},)"
+                       R"({"name":"side","from":"camera","to":"d","deadline_us":70},)"
+                       R"({"name":"inner","from":"rear","to":"c"}])")),
+      (Lines{"camera d 70 1", "rear c 900 1", "camera b 500 1", "rear b 500 1", "rear d 500 1"}))
+      << "named ones stand before, wherever the file has them";
+  EXPECT_EQ(chains_of(forked(R"([{"from":"rear","to":"*","deadline_us":40},)"
+                             R"({"from":"*","to":"*","deadline_us":500}])")),
+            (Lines{"rear b 40 1", "rear d 40 1", "camera b 500 1", "camera d 500 1"}))
+      << "of two of them the first";
+}
+
+TEST(EveryChain, IsRefusedWithItsPlaceInTheFile) {
+  EXPECT_EQ(refusal_of_app(forked(R"([{"name":"n","from":"rear","to":"d"},{"from":"*","to":"c"}])"))
+                .find("a.json: /chains/1: stands for no chain of the app"),
+            0u)
+      << "c is not a last one";
+  EXPECT_EQ(refusal_of_app(forked(R"([{"from":"*","to":"*","name":"all"}])"))
+                .find("a.json: /chains/0/name"),
+            0u)
+      << "no option is passed over in silence";
+  EXPECT_EQ(refusal_of_app(forked(R"([{"from":"*","to":"b"},{"name":"n","from":"rear","to":"a"}])"))
+                .find("a.json: /chains/1: XNode 'a' does not hear of source 'rear'"),
+            0u);
+  EXPECT_EQ(refusal_of_app(forked(R"([{"from":"radar","to":"*"}])")).find("a.json: /chains/0/from"),
+            0u);
+  EXPECT_EQ(refusal_of_app(forked(R"([{"from":"*","to":"nobody"}])")).find("a.json: /chains/0/to"),
+            0u);
+  std::string text = forked(R"([{"from":"*","to":"*"}])");  // not the chains are at fault
+  text.replace(text.find("10}", text.find("rear")), 2, "20");
+  EXPECT_EQ(refusal_of_app(text).find("a.json: /xnodes/2/source"), 0u) << refusal_of_app(text);
+}
+
+// What is written of a chain from a source of that name would be read as every source's.
+TEST(EveryChain, NobodyIsCalledAsEveryEndIs) {
+  std::string source = forked(R"([{"name":"n","from":"camera","to":"d"}])"), xnode = source;
+  source.replace(source.find(R"("rear")"), 6, R"("*")");
+  EXPECT_EQ(refusal_of_app(source).find("a.json: /sources/1/name"), std::string::npos)
+      << "'c' hears of 'rear', which is gone: that is said first";
+  AppSpec app = parse_app(xnode, "a.json").value();
+  app.sources[1].name = kEveryEnd;
+  ASSERT_FALSE(validate(app));
+  EXPECT_EQ(validate(app).error().where, "/sources/1/name");
+  app.sources[1].name = "rear";
+  app.xnodes[3].name = kEveryEnd;
+  ASSERT_FALSE(validate(app));
+  EXPECT_EQ(validate(app).error().where, "/xnodes/3/name");
+}
+
+// ---- policies of priorities ---------------------------------------------------------------------
+
+struct ByPriority {
+  AppSpec app = parse_app(one_at_a_time(), "a.json").value();
+  Platform platform{"two", {{"cpu0", "cpu"}, {"cpu1", "cpu"}}};
+  KeyPolicy policy;
+  ByPriority() {
+    policy.app = app.name;
+    policy.app_hash = app.hash();
+    policy.platform = platform.name;
+    policy.method = "test";
+    policy.certified = false;
+    for (int i = 0; i < 3; ++i) {
+      policy.placements.push_back({0, {}});
+      policy.placements.back().priority = i;
+    }
+  }
+  [[nodiscard]] std::string error() const {
+    const Status status = validate(policy, app, platform);
+    return status ? std::string() : status.error().to_string();
+  }
+};
+
+TEST(KeyPolicy, PrioritiesAreReadAsTheyWereWritten) {
+  ByPriority p;
+  p.policy.order = {{1, 2}};
+  ASSERT_EQ(p.error(), "");
+  EXPECT_TRUE(p.policy.by_priority());
+  EXPECT_EQ(parse_key_policy(to_json(p.policy, p.app, p.platform), "p", p.app, p.platform).value(),
+            p.policy);
+  EXPECT_EQ(by_priorities(assignment_of(p.policy), p.app), [&] {
+    KeyPolicy same = p.policy;
+    same.method = assignment_of(p.policy).method;
+    return same;
+  }());
+  // The same with rates: priorities say nothing of when.
+  p.app.one_at_a_time = false;
+  for (SourceSpec& source : p.app.sources) source.period = {1000};
+  p.policy.app_hash = p.app.hash();
+  EXPECT_EQ(p.error(), "");
+}
+
+TEST(KeyPolicy, PrioritiesStandAloneAndClaimNothing) {
+  const auto error = [](const auto& spoil) {
+    ByPriority p;
+    spoil(p.policy);
+    return p.error();
+  };
+  const std::string one = "give each XNode a priority, or each keys";
+  for (const std::size_t i : {0u, 2u}) {
+    const std::string mixed = error([&](KeyPolicy& p) {
+      p.placements[i].priority.reset();
+      p.placements[i].key_us = {100};
+    });
+    EXPECT_NE(mixed.find(one), std::string::npos) << mixed;
+    EXPECT_EQ(mixed.find("/xnodes/"), 0u) << mixed;
+    EXPECT_NE(error([&](KeyPolicy& p) { p.placements[i].key_us = {100}; }).find(one),
+              std::string::npos);
+    EXPECT_NE(error([&](KeyPolicy& p) { p.placements[i].hold_us = {100}; }).find(one),
+              std::string::npos);
+  }
+  EXPECT_EQ(error([](KeyPolicy& p) {
+              p.placements[1].start_us = {0};
+              p.placements[1].finish_us = {10};
+            }).find("/xnodes/1/start_us"),
+            0u);
+  EXPECT_EQ(error([](KeyPolicy& p) { p.placements[2].priority = 0; }),
+            "/xnodes/2/priority: XNode 'c' has priority 0 on cpu0, as 'a' has\n"
+            "  hint: priorities are unique per XPU instance");
+  EXPECT_EQ(error([](KeyPolicy& p) {
+              p.placements[2].priority = 0;
+              p.placements[2].xpu = 1;
+            }),
+            "");
+  EXPECT_EQ(error([](KeyPolicy& p) {
+              p.placements[2].priority = kMaxTimeUs + 1;
+            }).find("/xnodes/2/priority"),
+            0u);
+  const std::string claims = error([](KeyPolicy& p) { p.certified = true; });
+  EXPECT_EQ(claims.find("/certified: priorities are not certified"), 0u) << claims;
+  EXPECT_EQ(error([](KeyPolicy& p) {
+              p.chains = {{"camera -> b", 1, 1, true}};
+            }).find("/certified"),
+            0u);
+}
+
+TEST(KeyPolicy, OrderHoldsBesidePriorities) {
+  const auto error = [](std::vector<std::pair<int, int>> order, int xpu_of_c = 0) {
+    ByPriority p;
+    p.policy.order = std::move(order);
+    p.policy.placements[2].xpu = xpu_of_c;
+    return p.error();
+  };
+  EXPECT_EQ(error({{2, 0}, {2, 1}}), "") << "all of an app without rates is released together";
+  EXPECT_EQ(error({{1, 0}}).find("/order: the order and the app's edges form a cycle"), 0u);
+  EXPECT_EQ(error({{0, 2}, {2, 0}}).find("/order: the order"), 0u);
+  EXPECT_EQ(error({{0, 2}}, 1).find("/order/0: 'a' before 'c': they are on different XPUs"), 0u);
+  EXPECT_EQ(error({{0, 3}}).find("/order/0"), 0u);
+}
+
+// Whoever reads it is not told that a claim is missing, but that there can be none.
+TEST(KeyPolicy, PrioritiesInAFileSayThatTheyAreNotCertified) {
+  const ByPriority p;
+  std::string text = to_json(p.policy, p.app, p.platform);
+  const std::string line = "  \"certified\": false,\n";
+  text.replace(text.find(line), line.size(), "");
+  const auto refused = parse_key_policy(text, "p.json", p.app, p.platform);
   ASSERT_FALSE(refused);
-  EXPECT_EQ(refused.error().where, path + ": /version");
-  EXPECT_TRUE(load_any_app(path));
-  EXPECT_EQ(load_any_app((test::golden() / "app.json").string())->version, 1);
+  EXPECT_EQ(refused.error().to_string(),
+            "p.json: /certified: priorities are not certified: nothing can be claimed of them\n"
+            "  hint: say \"certified\": false, and leave \"chains\" out");
+}
+
+// As a hint it says where XNodes are, and no more: a policy of keys is what comes of it.
+TEST(KeyPolicy, AsAHintPrioritiesSayWhereXNodesAre) {
+  ByPriority p;
+  p.policy.placements[1].xpu = 1;
+  p.policy.order = {{0, 2}};
+  const auto hint =
+      parse_key_hint(to_json(p.policy, p.app, p.platform), "p.json", p.app, p.platform);
+  ASSERT_TRUE(hint) << hint.error().to_string();
+  for (std::size_t i = 0; i < 3; ++i) {
+    EXPECT_EQ(hint->placements[i].xpu, p.policy.placements[i].xpu);
+    EXPECT_TRUE(hint->placements[i].key_us.empty());
+    EXPECT_FALSE(hint->placements[i].priority);
+  }
+  EXPECT_EQ(hint->order, p.policy.order);
 }
 
 TEST(KeyPolicy, OfALongHyperperiodHasOneKeyPerXNode) {

@@ -24,8 +24,9 @@ Reading mode(std::vector<std::string> texts) {
 NamedProfile profile(const std::string& name, std::int64_t us, std::vector<Reading> readings) {
   Profile p;
   p.app = "a";
+  p.sources = {{"s", {1000}}};
   p.conditions.readings = std::move(readings);
-  p.xnodes = {{"x", "M", {{"gpu0", {9, 1, 2, 3, us}}}}};
+  p.xnodes = {{"x", "M", {{"gpu0", {9, 1, 2, 3, us}}}, {0}}};
   return {name, p};
 }
 

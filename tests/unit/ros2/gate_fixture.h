@@ -25,6 +25,7 @@
 #include <xauto/xauto.h>
 
 #include "model/json.h"
+#include "model/periodic.h"
 
 namespace xauto::testing_ros2 {
 
@@ -114,13 +115,16 @@ class Ros2GateTest : public ::testing::Test {
     executor->add_node(adder.get_node_base_interface());
     return executor;
   }
-  /// Of a gate "gate", one core.
+  /// Of a gate "gate", one core. 1: its messages have no rate, and are released one at a time.
   static RunOptions options(std::int64_t distance_us = 1000) {
     AppSpec spec;
     spec.name = "app";
     spec.xnodes = {{"gate.callback", "gate", {{"cpu", 100}}}};
     spec.xnodes[0].sources = {0};
-    spec.sources = {{"gate/ready", {distance_us}}};
+    spec.one_at_a_time = distance_us == 1;
+    spec.sources = {{"gate/ready", spec.one_at_a_time ? kNoRate : Period{distance_us}}};
+    complete_modules(spec);
+    complete_chains(spec);
     Platform platform;
     platform.name = "tiny";
     platform.xpus = {{"cpu0", "cpu"}};
@@ -133,7 +137,7 @@ class Ros2GateTest : public ::testing::Test {
     return RunOptions()
         .app(to_json(spec))
         .platform(to_json(platform))
-        .policy(to_json(policy, spec, platform))
+        .policy(to_json(by_priorities(policy, spec), spec, platform))
         .cpu_sched("other")
         .activations(0);
   }

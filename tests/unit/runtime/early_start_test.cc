@@ -25,7 +25,6 @@ constexpr std::int64_t kLong = 60'000'000'000;  ///< nobody waits for so long un
 class EarlyExample {
  public:
   EarlyExample() {
-    app_.version = 2;
     app_.name = "example";
     platform_.xpus = {{"dla0", "dla", false}, {"gpu0", "gpu", true, 100}, {"cpu0", "cpu"}};
   }

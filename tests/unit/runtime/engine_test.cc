@@ -207,7 +207,8 @@ TEST(Engine, JobsOverTheirBudgetAreCounted) {
 TEST(Engine, WhereAWorstCaseIsClaimedJobsOverTheirWcetAreCounted) {
   TestApp app;
   app.session.app.xnodes[0].wcet_us = {{"cpu", 2'000}};
-  app.session.policy.worst_case_us = 100'000;
+  app.session.keys.emplace();
+  app.session.keys->placements = {{0, {100'000}}, {1, {100'000}}, {1, {100'000}}, {1, {100'000}}};
   app.exec = [](const std::string& node, std::uint64_t k) -> Status {
     if (node == "a1" && k % 10 == 0) std::this_thread::sleep_for(3ms);
     return {};

@@ -31,7 +31,6 @@ class Example {
     module("C", {"tick"}, {"b"}, "c");
 
     AppSpec& app = session.app;
-    app.version = 2;
     app.name = "example";
     app.sources = {{"front", {100'000, 3}, 2000, 0, 0},
                    {"rear", {100'000, 3}, 5000, 0, 0},
@@ -128,13 +127,21 @@ TEST(Grid, RefusesAJoinThatThePlanDoesNotKnow) {
   EXPECT_FALSE(Grid::make(graph, example.session));
 }
 
-TEST(Grid, OfVersion1HasTheProgramsPeriods) {
+TEST(Grid, WithoutRatesAllReleaseAtTheProgramsLongestPeriod) {
   Example example;
-  example.session.app.version = 1;
+  AppSpec& app = example.session.app;
+  app.one_at_a_time = true;
+  for (SourceSpec& source : app.sources) source = {source.name, kNoRate};
   const auto grid = example.grid();
-  ASSERT_TRUE(grid);
-  EXPECT_FALSE(grid->periodic);
-  EXPECT_EQ(grid->sources[0].due_ns(3), 3 * 33'333'000);
+  ASSERT_TRUE(grid) << grid.error().to_string();
+  EXPECT_TRUE(grid->periodic);
+  EXPECT_TRUE(grid->one_at_a_time);
+  std::int64_t longest = 0;
+  for (const SourceSpec& source : example.graph().sources)
+    longest = std::max(longest, source.period.floor_us());
+  for (const Grid::Source& source : grid->sources)
+    EXPECT_NEAR(static_cast<double>(source.period_ns()), 1000.0 * static_cast<double>(longest),
+                1000);
   example.session.period_us = 7;
   EXPECT_EQ(example.grid()->sources[0].due_ns(2), 14'000);
 }

@@ -96,7 +96,6 @@ class PushedByKeys : public PushedApp {
     add("A", {"a1"}, {*detail::topic_spec(camera_topic())}, a);
     add("T", {"t1"}, {*detail::topic_spec(tick)}, t);
     AppSpec& app = session.app;
-    app.version = 2;
     app.sources = {{"camera", {10'000}}, {"tick", {10'000}}};
     app.modules = {{"A"}, {"T"}};
     app.edges.clear();

@@ -115,7 +115,6 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
   grid.urgent_source = {0, -1, -1};  // of the lidar, where the chain ends
   AppSpec app;
-  app.version = 2;
   app.sources = graph.sources;
   app.xnodes = {{"Fuse", "Fuse", {}}};
   app.chains = {{"c", 0, 0, 250}};
@@ -147,7 +146,6 @@ Result<Routes> log_samples(std::vector<ChainSpec> chains) {
   grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
   grid.urgent_source = {-1, -1, -1};
   AppSpec app;
-  app.version = 2;
   app.sources = graph.sources;
   app.xnodes = {{"Fuse", "Fuse", {}}, {"Plan", "Plan", {}}, {"Log", "Log", {}}};
   app.chains = std::move(chains);
@@ -197,7 +195,6 @@ struct ByKeys {
     grid.sources = {{{period_us}, 0, 0}, {{30}, 0, 0}};
     grid.urgent_source = {-1, -1, -1};
     AppSpec app;
-    app.version = 2;
     app.sources = graph.sources;
     app.xnodes = {{"Fuse", "Fuse", {}}, {"Plan", "Plan", {}}};
     app.chains = {{"c", 0, 0, 250}, {"through", 0, 1, 250}};

@@ -9,6 +9,8 @@
 
 #include <gtest/gtest.h>
 
+#include "model/periodic.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -19,10 +21,13 @@ constexpr std::int64_t kDwell = 100 * kMilli;
 AppSpec two_xnodes() {
   AppSpec app;
   app.name = "two";
-  app.sources.push_back({"camera", Period{10'000, 1}});
-  app.xnodes.push_back({"a", "m", {{"cpu", 4000}, {"gpu", 1000}}});
+  app.one_at_a_time = true;
+  app.sources.push_back({"camera", kNoRate});
+  app.xnodes.push_back({"a", "m", {{"cpu", 4000}, {"gpu", 1000}}, {0}});
   app.xnodes.push_back({"b", "m", {{"cpu", 1000}}});
   app.edges.emplace_back(0, 1);
+  complete_modules(app);
+  complete_chains(app);
   return app;
 }
 

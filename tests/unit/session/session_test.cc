@@ -12,7 +12,6 @@ namespace {
 
 Session steady() {
   Session session;
-  session.app.version = 2;
   session.app.name = "two";
   session.app.clocks = {{"main", 0}, {"other", 50}};
   session.app.sources = {{"s", {100'000, 3}, 2'000, 10}, {"t", {10'000}, 0, 0, 1}};
@@ -24,34 +23,36 @@ Session steady() {
   return session;
 }
 
-TEST(Session, PrioritiesTravelWithAnAppOfVersion2) {
+TEST(Session, PrioritiesTravelAsPriorities) {
   Session session = steady();
-  const AppSpec once = as_version_1(session.app);
-  EXPECT_TRUE(validate(once));
-  EXPECT_EQ(once.sources, (std::vector<SourceSpec>{{"s", {33'333}}, {"t", {10'000}}}));
-  EXPECT_TRUE(once.samples.empty() && once.chains.empty());
-  session.policy.app = "two";
-  session.policy.app_hash = once.hash();
-  session.policy.platform = "one";
-  session.policy.method = "test";
-  session.policy.placements = {{0, 2, 0, 100}, {0, 1, 100, 300}};
-  session.policy.latency_us = 300;
-  session.policy.lower_bound_us = 100;
+  KeyPolicy policy{"two", session.app.hash(), "one", "test", {{0, {}}, {0, {}}}};
+  policy.certified = false;
+  policy.placements[0].priority = 2;
+  policy.placements[1].priority = 1;
+  session.take_policy(policy);
+  EXPECT_FALSE(session.keys);
   const auto read = parse_session(*to_json(session));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_FALSE(read->keys);
   EXPECT_EQ(read->policy, session.policy);
+  EXPECT_EQ(read->policy.placements[0].priority, 2);
   EXPECT_EQ(read->app, session.app);
-  session.policy.app_hash = session.app.hash();  // of another app
+  session.policy.placements[1].priority = 2;  // as the other one's
   EXPECT_FALSE(parse_session(*to_json(session)));
 }
 
 TEST(Session, KeysTravelAsKeys) {
   Session session = steady();
-  session.keys = KeyPolicy{"two",  session.app.hash(),         "one",
-                           "test", {{0, {5'000}}, {0, {300}}}, {{"c", 50'000, 300}},
-                           0};
-  session.policy = assignment_of(*session.keys);
+  session.take_policy(KeyPolicy{"two",
+                                session.app.hash(),
+                                "one",
+                                "test",
+                                {{0, {5'000}}, {0, {300}}},
+                                {{"c", 50'000, 300}},
+                                0});
+  ASSERT_TRUE(session.keys);
+  EXPECT_GT(session.policy.placements[1].priority, session.policy.placements[0].priority)
+      << "its key is the smaller one";
   const auto read = parse_session(*to_json(session));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->keys, session.keys);

@@ -17,7 +17,6 @@ namespace {
 /// Chains of 10 ms, and one without a deadline.
 AppSpec with_three_chains() {
   AppSpec app;
-  app.version = 2;
   app.name = "three";
   app.sources = {{"tick", {10'000}}};
   app.modules = {{"m", 1, false}};
@@ -72,7 +71,7 @@ TEST(ChangeCost, OfAChainThatOneTableLacksNothingIsAsked) {
 
 /// The driving case at three rates, nominal and with a slower GPU.
 TEST(Changes, AmongEqualTablesThoseWithCheapChangesAreTaken) {
-  const auto app = load_any_app(XAUTO_SOURCE_DIR "/examples/driving/steady.json");
+  const auto app = load_app(XAUTO_SOURCE_DIR "/examples/driving/steady.json");
   ASSERT_TRUE(app) << app.error().to_string();
   const Platform platform = *Platform::builtin("small");
   const Scenarios list{app->name,

@@ -23,7 +23,6 @@ struct Handover {
 void add_stage(Handover& h, const std::string& name, std::int64_t period, std::int64_t wcet,
                std::int64_t key, int clock = 0) {
   const auto k = static_cast<int>(h.app.xnodes.size());
-  h.app.version = 2;
   h.app.name = h.policy.app = "hand";
   h.app.sources.push_back({name, {period, 1}, 0, 0, clock});
   h.app.xnodes.push_back({name, name, {{"cpu", wcet}, {"gpu", wcet}}, {k}});

@@ -49,7 +49,6 @@ double end_of(const HandoverWorld& world, const HandoverRun& run, int xnode, int
 
 AppSpec periodic_app(std::vector<XNodeSpec> xnodes, std::vector<SourceSpec> sources) {
   AppSpec app;
-  app.version = 2;
   app.name = "handover";
   app.xnodes = std::move(xnodes);
   app.sources = std::move(sources);

@@ -19,7 +19,6 @@ namespace {
 /// samples it.
 AppSpec seeing_and_acting(bool two_clocks = false) {
   AppSpec app;
-  app.version = 2;
   app.name = "two";
   app.clocks = {{"main", 0}, {"camera", two_clocks ? 100 : 0}};
   app.sources = {{"camera", {20'000}}, {"tick", {10'000}}};

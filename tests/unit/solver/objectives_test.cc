@@ -9,7 +9,6 @@
 
 #include "solver/bounds.h"
 #include "solver/evaluate.h"
-#include "solver/explain.h"
 #include "solver/generate.h"
 #include "solver/solve.h"
 
@@ -216,58 +215,6 @@ TEST(Objectives, WhatCannotBeIsRefusedByName) {
   objectives = {};
   objectives.chains = {{"odd", "a.in", "b.out", {}, 0}};
   EXPECT_EQ(error_of(objectives).code, ErrorCode::kInvalid);
-}
-
-TEST(Explain, TheChainReachesFromZeroToTheLatencyAndNamesTheXpuThatLimits) {
-  SolveReport report;
-  const AppSpec app = two_chains();
-  const Platform platform = one_of_each();
-  const auto policy = solve(app, platform, counted(report));
-  ASSERT_TRUE(policy.has_value());
-  const auto why = explain(app, platform, *policy);
-  ASSERT_TRUE(why.has_value());
-  EXPECT_EQ(why->chain.front().ready_us, 0);
-  EXPECT_EQ(why->chain.back().finish_us, policy->latency_us);
-  EXPECT_EQ(platform.xpus[static_cast<std::size_t>(why->limiting_xpu)].id, "gpu0");
-  EXPECT_EQ(why->running_us, 11'000);
-}
-
-TEST(WhatIf, OneMoreGpuHalvesTwoChainsThatShareOne) {
-  SolveReport report;
-  const AppSpec app = two_chains();
-  const Platform platform = one_of_each();
-  const auto policy = solve(app, platform, counted(report));
-  ASSERT_TRUE(policy.has_value());
-  const auto answers = what_if(app, platform, *policy, counted(report));
-  ASSERT_TRUE(answers.has_value());
-  EXPECT_EQ(answers->front().change, "one more gpu");
-  EXPECT_EQ(answers->front().latency_us, 11'000);
-  const auto slower =
-      what_if_implemented(app, platform, *policy, "b.out", "cpu", 15'000, counted(report));
-  ASSERT_TRUE(slower.has_value());
-  EXPECT_EQ(slower->latency_us, 16'000);
-}
-
-/// On CPUs the app's stages are three times slower than on GPUs. That `a` could be as slow there is
-/// no idea; that `c` could be as fast as the others on a GPU is one.
-TEST(WhatIf, NoSlowerImplementationIsInvented) {
-  SolveReport report;
-  AppSpec app;
-  app.name = "app";
-  app.xnodes = {{"a", "M", {{"gpu", 5'000}}},
-                {"b", "M", {{"cpu", 9'000}, {"gpu", 3'000}}},
-                {"c", "M", {{"cpu", 6'000}}}};
-  app.edges = {{0, 1}, {1, 2}};
-  const Platform platform = one_of_each();
-  const auto policy = solve(app, platform, counted(report));
-  ASSERT_TRUE(policy.has_value());
-  const auto answers = what_if(app, platform, *policy, counted(report));
-  ASSERT_TRUE(answers.has_value());
-  std::set<std::string> changes;
-  for (const WhatIf& what : *answers) changes.insert(what.change);
-  EXPECT_TRUE(changes.contains("c on gpu, if 2.00 ms"));
-  for (const std::string& change : changes)
-    EXPECT_EQ(change.find("a on cpu"), std::string::npos) << change;
 }
 
 }  // namespace

@@ -332,7 +332,6 @@ TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
 
 AppSpec overloaded() {
   AppSpec app;
-  app.version = 2;
   app.name = "over";
   app.sources.push_back({"s", {100, 1}});
   for (int i = 0; i < 4; ++i) {
@@ -476,7 +475,6 @@ struct Assignments {
 /// XNodes of one source, of a fifth to all of its period; some two in one module.
 AppSpec crowded_app(solver::test::Dice& dice) {
   AppSpec app;
-  app.version = 2;
   app.name = "crowd";
   app.sources = {{"s", {1000, 1}}};
   const int n = dice.roll(2, 6);
@@ -566,7 +564,6 @@ TEST(SteadyBounds, ManyWholeXNodesThatDoNotFitAreRefuted) {
 /// A fast XNode, of which another may wait, and long pieces, as many as there are CPUs that do not preempt.
 AppSpec app_of_pieces(solver::test::Dice& dice, int cpus) {
   AppSpec app;
-  app.version = 2;
   app.name = "pieces";
   const int period = dice.roll(4, 6);
   const auto add = [&](std::int64_t every, std::int64_t wcet, std::vector<int> sources,
@@ -636,7 +633,6 @@ TEST(SteadyBounds, NoPieceThatIsInTheWayIsBelowItsBound) {
 /// room elsewhere, it is the same; where it may go elsewhere, it is not.
 TEST(SteadyBounds, ALongPieceOnAGateIsInTheWay) {
   AppSpec app;
-  app.version = 2;
   app.name = "gate";
   app.sources = {{"tick100", {100'000, 1}}, {"tick20", {20'000, 1}}};
   app.xnodes = {{"slow", "slow", {{"cpu", 40'000}}, {0}},

@@ -26,7 +26,6 @@ namespace {
 /// is held for so long that it begins before what it reads is released: the way goes back on the clock.
 AppSpec going_back(int ppm) {
   AppSpec app;
-  app.version = 2;
   app.name = "back";
   app.clocks = {{"main", 0}, {"other", ppm}};
   app.sources = {{"camera", {10'000}},
@@ -79,7 +78,6 @@ TEST(SteadyChains, WhatIsBehindACrossingIsFollowedOnce) {
   platform.name = "four";
   for (int i = 0; i < 4; ++i) platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
   AppSpec app;
-  app.version = 2;
   app.name = "three";
   app.clocks = {{"main", 0}, {"lidar", 50}};
   app.sources = {
@@ -112,7 +110,6 @@ TEST(SteadyChains, WhatIsBehindACrossingIsFollowedOnce) {
 /// of them: their phases to each other are known all the same, by `check` too.
 TEST(SteadyChains, AWayBackAndForthBetweenGroupsOfOneClockIsWhatCheckDerives) {
   AppSpec app;
-  app.version = 2;
   app.name = "groups";
   app.clocks = {{"main", 0}};
   const auto add = [&](const std::string& name, std::int64_t period) {
@@ -144,7 +141,6 @@ TEST(SteadyChains, AWayBackAndForthBetweenGroupsOfOneClockIsWhatCheckDerives) {
 /// be followed, `check` still knows the phases inside the group.
 TEST(SteadyChains, PhasesInsideAGroupAreKnownWhereverTheWayComesFrom) {
   AppSpec app;
-  app.version = 2;
   app.name = "into";
   app.clocks = {{"main", 20}};
   app.sources = {
@@ -192,7 +188,6 @@ TEST(SteadyChains, AnXNodeMaySampleItself) {
 AppSpec random_groups(std::uint64_t seed) {
   solver::test::Dice dice(seed);
   AppSpec app;
-  app.version = 2;
   app.name = "random";
   app.clocks = {{"main", 50 * dice.roll(0, 2)}, {"own", 50 * dice.roll(0, 20)}};
   const bool two_clocks = dice.roll(0, 2) == 0;

@@ -18,7 +18,6 @@ constexpr std::int64_t kEver = 900'000'000'000;
 /// One XPU of each kind; XNodes, edges and keys follow.
 Case empty(bool preemptive = true, std::int64_t preempt_us = 0) {
   Case c;
-  c.app.version = 2;
   c.app.name = "sketch";
   c.platform = {"p",
                 {{"cpu0", "cpu", preemptive, preempt_us, 0, -1},
@@ -305,7 +304,6 @@ TEST(SteadyCheck, MalformedInputIsRefusedAndNothingElseHappens) {
     return text.find(words) == std::string::npos ? testing::AssertionFailure() << text
                                                  : testing::AssertionSuccess();
   };
-  EXPECT_TRUE(spoilt([](Case& x) { x.app.version = 1; }, "version 2"));
   EXPECT_TRUE(spoilt([](Case& x) { x.policy.app = "another"; }, "solve this app again"));
   EXPECT_TRUE(spoilt([](Case& x) { x.policy.placements.pop_back(); }, "1 XNodes, the app has 2"));
   EXPECT_TRUE(spoilt([](Case& x) { x.policy.placements[0].xpu = 2; }, "XNode 'a': no XPU"));

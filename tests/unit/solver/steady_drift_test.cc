@@ -40,7 +40,6 @@ void add(AppSpec& app, const SourceSpec& source, std::int64_t in_flight,
 
 AppSpec named(std::vector<ClockSpec> clocks) {
   AppSpec app;
-  app.version = 2;
   app.name = "drift";
   app.clocks = std::move(clocks);
   return app;

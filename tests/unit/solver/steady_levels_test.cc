@@ -56,7 +56,6 @@ struct Tiny {
 Tiny tiny(std::uint64_t seed, int levels) {
   solver::test::Dice dice(seed);
   Tiny t;
-  t.c.app.version = 2;
   t.c.app.name = "tiny";
   t.c.app.clocks = {{"main", 0}};
   t.c.platform = {"p", {{"gpu0", "gpu", true, 0, 0, -1, levels}}};

@@ -133,7 +133,6 @@ TEST(SteadyObjective, NoMixIsWorseThanItsHint) {
 TEST(SteadyObjective, TheSumDoesNotForgetDeadlines) {
   // By the sum alone the short chains would go first, and the long one, which is urgent, late.
   AppSpec app;
-  app.version = 2;
   app.name = "urgent";
   app.sources = {{"s", {100}}};
   app.modules = {{"m"}};

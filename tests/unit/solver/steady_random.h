@@ -57,7 +57,6 @@ inline void stretch(AppSpec& app, Platform& platform, std::int64_t factor) {
 
 inline AppSpec random_steady_app(solver::test::Dice& dice, const SteadyShape& shape) {
   AppSpec app;
-  app.version = 2;
   app.name = "tiny";
   for (int c = 1; c < shape.clocks; ++c)
     app.clocks.push_back({test::numbered("clock", c), shape.ppm});

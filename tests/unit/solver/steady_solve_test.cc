@@ -405,7 +405,6 @@ AppSpec huge_app(int clocks) {
   constexpr int kPeriodsUs[] = {33'333, 50'000, 100'000, 20'000};
   solver::test::Dice dice(1);
   AppSpec app;
-  app.version = 2;
   app.name = "huge";
   for (int k = 1; k < clocks; ++k) app.clocks.push_back({"k" + std::to_string(k), 100});
   for (int c = 0; c < kChains; ++c) {

@@ -14,7 +14,6 @@ namespace {
 /// Three rates on one GPU, of which WCETs take 118 %, and what is usual 92 %.
 AppSpec three_rates() {
   AppSpec app;
-  app.version = 2;
   app.name = "three";
   const struct {
     const char* name;

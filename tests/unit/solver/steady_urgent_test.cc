@@ -25,7 +25,6 @@ Options with_evaluations(std::int64_t evaluations) {
 /// A camera and a slower lane keeper share one CPU; the camera's releases may be urgent.
 AppSpec two_chains(std::int64_t by_us = 2000, std::int64_t every_us = 100'000) {
   AppSpec app;
-  app.version = 2;
   app.name = "urgent";
   app.sources = {{"camera", {10'000}}, {"lane", {20'000}}};
   app.sources[0].urgent = {by_us, every_us};

@@ -17,8 +17,14 @@
 namespace xauto::solver {
 namespace {
 
-struct ManyScenarios {
+AppSpec one_at_a_time() {
   AppSpec app;
+  app.one_at_a_time = true;
+  return app;
+}
+
+struct ManyScenarios {
+  AppSpec app = one_at_a_time();
   Platform platform = Platform::builtin("small").value();
   Scenarios scenarios;
 };
@@ -289,7 +295,6 @@ TEST(Tables, AReleaseThatSpansAChangeEndsInTime) {
   for (std::uint64_t seed = 1; seed <= 10; ++seed) {
     ManyScenarios c = under_scenarios(12, 70 + seed);
     c.scenarios.list.push_back({"dla slow", {{"dla", 180}}});
-    c.app.sources = {{"camera", {20'000}}};
     const Tables tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3)).value();
     const std::size_t n = c.scenarios.list.size();
     ASSERT_EQ(tables.changes.size(), n * (n - 1));
@@ -306,7 +311,6 @@ TEST(Tables, AReleaseThatSpansAChangeEndsInTime) {
         ++none;
         continue;
       }
-      EXPECT_EQ(change.delay_us, std::max<Time>(0, *change.worst_case_us - 20'000));
       longer += *change.worst_case_us >
                 std::max(tables.serves[from].worst_case_us, tables.serves[to].worst_case_us);
       for (int k = 0; k < 20; ++k) {
@@ -327,10 +331,6 @@ TEST(Tables, AReleaseThatSpansAChangeEndsInTime) {
       Tables bad = tables;
       if (!bad.changes[k].worst_case_us) continue;
       --*bad.changes[k].worst_case_us;
-      EXPECT_FALSE(verify_tables(c.app, c.platform, bad, quick).truthful());
-      bad = tables;
-      if (*bad.changes[k].delay_us == 0) continue;
-      --*bad.changes[k].delay_us;
       EXPECT_FALSE(verify_tables(c.app, c.platform, bad, quick).truthful());
     }
   }
@@ -494,7 +494,7 @@ TEST(Tables, NothingSaysForWhatItWouldLose) {
   const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3));
   ASSERT_FALSE(tables);
   EXPECT_EQ(tables.error().where, "/scenarios/1/degraded");
-  c.app.sources = {{"camera", {100'000'000}}};
+  c.app.chains.front().deadline_us = 100'000'000;
   EXPECT_TRUE(solve_tables(c.app, c.platform, c.scenarios, tables_budget(3)));
 }
 

@@ -53,15 +53,6 @@ Case tiny(std::int64_t preempt_us) {
   return c;
 }
 
-bool tells_lie(const Case& c, const std::string& about);
-
-TEST(Verify, APolicyOfOneReleaseForSeveralRatesIsALie) {
-  Case c = truthful(20, 1);
-  EXPECT_FALSE(tells_lie(c, "rates"));
-  c.app.sources = {{"camera", {33'333}}, {"lidar", {100'000}}};
-  EXPECT_TRUE(tells_lie(c, "2 rates"));
-}
-
 bool tells_lie(const Case& c, const std::string& about) {
   const Verification v =
       verify(c.app, c.platform, c.policy, {.executions = 2000, .schedules = 2000});

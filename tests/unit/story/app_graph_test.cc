@@ -28,7 +28,7 @@ void expect_golden(const std::string& name, const std::string& text) {
 }
 
 TEST(AppGraph, IsAsItWas) {
-  const auto app = parse_app(slurp(golden() / "app-2.json"), "app-2.json");
+  const auto app = parse_app(slurp(golden() / "app-rates.json"), "app-rates.json");
   ASSERT_TRUE(app) << app.error().to_string();
   const auto platform = parse_platform(slurp(golden() / "platform.json"), "platform.json");
   ASSERT_TRUE(platform) << platform.error().to_string();
@@ -39,7 +39,6 @@ TEST(AppGraph, IsAsItWas) {
 
 AppSpec odd() {
   AppSpec app;
-  app.version = 2;
   app.name = "a\"b<c>&d\\N\n";
   app.sources = {{"s&lt;\t", {10'000}}};
   app.xnodes = {{"x\"]; y [", "m\\", {{"cpu", 1'000}}, {0}},
@@ -61,12 +60,13 @@ TEST(AppGraph, NamesAreText) {
   EXPECT_NE(svg.find("s&amp;lt;"), std::string::npos);
 }
 
-TEST(AppGraph, OneRateWithoutSourcesIsDrawn) {
+TEST(AppGraph, SourcesWithoutARateReleaseOneAtATime) {
   const auto app = parse_app(slurp(golden() / "app.json"), "app.json");
   ASSERT_TRUE(app) << app.error().to_string();
   const std::string svg = graph_svg(*app, {});
-  EXPECT_NE(svg.find("how often is not known"), std::string::npos);
-  EXPECT_EQ(count(svg, "class=\"line\""), app->edges.size());
+  EXPECT_NE(svg.find("one at a time"), std::string::npos);
+  EXPECT_EQ(svg.find(" Hz"), std::string::npos);
+  EXPECT_EQ(count(svg, "class=\"line\""), app->edges.size() + app->sources.size());
 }
 
 /// Cells of one picture never lie on each other.

@@ -16,7 +16,6 @@ struct Drawn {
   KeyPolicy policy;
 
   Drawn() {
-    app.version = 2;
     app.name = "a<b";
     app.sources = {{"s", {10'000}}, {"t", {20'000}, 5'000}};
     app.xnodes = {{"x", "m", {{"cpu", 1'000}}, {0}}, {"y&z", "n", {{"cpu", 2'000}}, {1}}};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/periodic.h"
+#include "xauto/policies.h"
 
 #include <algorithm>
 #include <iostream>
@@ -14,6 +14,7 @@
 #include "model/json.h"
 #include "model/json_value.h"
 #include "solver/steady/check.h"
+#include "solver/steady/one_release.h"
 #include "solver/steady/what_if.h"
 #include "story/windows.h"
 
@@ -41,6 +42,7 @@ std::string exact_ms(std::int64_t us) {
 /// "22 XNodes, 3 sources, 2 clocks, repeats every 100.000 ms"
 std::string shape(const AppSpec& app) {
   std::string text = fmt::format("{} XNodes, {} sources", app.xnodes.size(), app.sources.size());
+  if (app.one_at_a_time) return text + ", one release at a time";
   const auto parts = find_components(app);
   if (!parts) return text;
   text += fmt::format(", {} {}", parts->domains.size(),
@@ -450,13 +452,16 @@ std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, cons
   if (!parts) return {};
   std::vector<int> xpu;
   for (const KeyPlacement& placed : policy.placements) xpu.push_back(placed.xpu);
+  std::unordered_map<std::string_view, int> component;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    component.emplace(app.xnodes[i].name, parts->of[i]);
   std::vector<Way> ways;
   for (const steady::ChainProof& chain : report.chains) {
     Way way{{}, chain.derived_us, chain.late()};
     for (std::size_t k = 2; k < chain.path.size(); k += 2)
-      for (std::size_t i = 0; i < app.xnodes.size(); ++i)
-        if (parts->of[i] == parts->of[at(app.find(chain.path[k]))])
-          way.xnodes.push_back(static_cast<int>(i));
+      way.xnodes.insert(way.xnodes.end(),
+                        parts->components[at(component.at(chain.path[k]))].xnodes.begin(),
+                        parts->components[at(component.at(chain.path[k]))].xnodes.end());
     ways.push_back(std::move(way));
   }
   return rare_in_policy(app, platform, xpu, ways);
@@ -491,6 +496,15 @@ std::string moved_line(const AppSpec& app, const Platform& platform, const KeyPo
 
 void show(SearchLine& line, const steady::Progress& progress) {
   if (!line.due(progress.elapsed_s)) return;
+  if (progress.release_us > 0) {
+    const auto best = static_cast<double>(progress.release_us);
+    line.show(progress.elapsed_s,
+              fmt::format("best {}   bound {}   gap {:.2f} %   {:.0f} k evaluations/s",
+                          ms(progress.release_us), ms(progress.release_bound_us),
+                          100 * (best - static_cast<double>(progress.release_bound_us)) / best,
+                          progress.evaluations_per_s / 1000));
+    return;
+  }
   line.show(
       progress.elapsed_s,
       progress.late > 0
@@ -501,9 +515,49 @@ void show(SearchLine& line, const steady::Progress& progress) {
 
 }  // namespace
 
-Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
-                           const steady::Options& asked, const std::vector<std::string>& assume,
-                           const std::string& out, const Options& options) {
+namespace {
+
+/// HEFT and the like: priorities.
+Result<int> solve_baseline(const AppSpec& app, const Platform& platform,
+                           const steady::Options& asked, const std::string& out,
+                           const Options& options) {
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", out));
+  solver::SolveOptions solving;
+  solving.method = asked.method;
+  solving.time_limit_s = asked.time_limit_s;
+  solving.stop = asked.stop;
+  solving.objectives = asked.wishes;
+  XAUTO_ASSIGN(const steady::Baseline made, steady::baseline(app, platform, solving));
+  if (options.json) {
+    Json root = Json::parse(to_json(made.policy, app, platform)).value_or(Json());
+    root["release_us"] = made.release_us;
+    std::cout << root.dump(2) << "\n";
+  } else {
+    std::cout << fmt::format(
+        "{} on {}: priorities by {}. One release, every job at its WCET and no other release "
+        "beside "
+        "it: {}.\nNothing is claimed of any time.\n",
+        app.name, platform.name, asked.method, ms(made.release_us));
+  }
+  std::cout.flush();
+  if (!out.empty()) outputs.write(out, to_json(made.policy, app, platform));
+  if (!options.json && !out.empty() && outputs.good())
+    std::cout << fmt::format("\n  written to {}\n", out);
+  return outputs.status(kDone);
+}
+
+}  // namespace
+
+Result<int> solve_policy(const AppSpec& app, const Platform& platform, const steady::Options& asked,
+                         const std::vector<std::string>& assume, const std::string& out,
+                         const Options& options) {
+  if (asked.method == "heft" || asked.method == "local") {
+    if (!assume.empty() || asked.hint != nullptr)
+      return fail(ErrorCode::kInvalid, "has neither --assume nor --hint",
+                  "--method " + asked.method);
+    return solve_baseline(app, platform, asked, out, options);
+  }
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
   SearchLine line;
@@ -542,15 +596,18 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     if (!rare.empty()) root["rare_wcets"] = to_json(rare, app);
     std::cout << root.dump(2) << "\n";
   } else {
-    std::cout << fmt::format("{} on {}: {}, {:.2f} s\n\n", app.name, platform.name, shape(app),
-                             static_cast<double>(answer.policy.solve_ms) / 1000)
+    std::cout << fmt::format("{} on {}: {}, {:.2f} s{}\n\n", app.name, platform.name, shape(app),
+                             static_cast<double>(answer.policy.solve_ms) / 1000,
+                             asked.stop != nullptr && asked.stop->load()
+                                 ? " (interrupted: best so far)"
+                                 : "")
               << proof_table(answer.policy, *checked) << "\n"
               << chain_table(app, answer.policy) << of_all_chains(app, answer, asked.aim)
               << fmt::format(
                      "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
                      "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
-                     kKeyScope)
+                     scope_of(app.one_at_a_time))
               << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs, assumed_s(asked));
@@ -640,8 +697,8 @@ std::vector<std::string> names_on_path(const AppSpec& app, const std::vector<int
   return list;
 }
 
-Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                             const std::string& picture, double moves_s, const Options& options) {
+Result<int> explain_policy(const AppSpec& app, const Platform& platform, const std::string& path,
+                           const std::string& picture, double moves_s, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--windows", picture));
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
@@ -730,8 +787,8 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Key
   return status;
 }
 
-Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                           const solver::Objectives& asked, const Options& options) {
+Result<int> check_policy(const AppSpec& app, const Platform& platform, const std::string& path,
+                         const solver::Objectives& asked, const Options& options) {
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
   if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
@@ -794,14 +851,14 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
                                ms(chain.claimed_urgent_us.value_or(0)));
   }
   for (const std::string& wish : broken) std::cout << "  MISSED " << wish << "\n";
-  std::cout << fmt::format("\n{} tells the truth: {}.\n", path, kKeyScope)
+  std::cout << fmt::format("\n{} tells the truth: {}.\n", path, scope_of(app.one_at_a_time))
             << words_of_missed(missed);
   return status;
 }
 
-Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                              const steady::PlayOptions& asked, const std::string& out,
-                              const Options& options) {
+Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const std::string& path,
+                            const steady::PlayOptions& asked, const std::string& out,
+                            const Options& options) {
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
@@ -855,7 +912,10 @@ Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, cons
                   platform.name, played.jobs, asked.seconds, played.late, played.suspended);
   if (!policy.certified)
     table +=
-        "  nothing is claimed: the policy is not certified, and its keys only say who goes first\n";
+        policy.by_priority()
+            ? "  nothing is claimed: the policy has priorities\n"
+            : "  nothing is claimed: the policy is not certified, and its keys only say who goes "
+              "first\n";
   else if (!played.first_late.empty())
     table += "  " + played.first_late + "\n";
   if (played.backlog) table += "  the backlog grew: this policy does not keep up\n";

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// What solve, explain, check and simulate do with one policy.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "solver/steady/play.h"
+#include "solver/steady/solve.h"
+
+#include "xauto/command.h"
+
+namespace xauto::cli {
+
+/// `asked.wishes` are filled in; the policy goes to `out`, if there is one. Status 1: a
+/// deadline is missed, or nothing is certified: then the policy is the best that was found, without claims.
+/// `assume`: changes whose effect is told (solver/steady/what_if.h).
+[[nodiscard]] Result<int> solve_policy(const AppSpec& app, const Platform& platform,
+                                       const solver::steady::Options& asked,
+                                       const std::vector<std::string>& assume,
+                                       const std::string& out, const Options& options);
+/// The tightest windows, the worst path of each chain, and what moving its XNodes would bring, as far
+/// as that is found within `moves_s`. A picture of all windows goes to `picture`, if there is one.
+[[nodiscard]] Result<int> explain_policy(const AppSpec& app, const Platform& platform,
+                                         const std::string& policy, const std::string& picture,
+                                         double moves_s, const Options& options);
+/// Status 1: the policy claims what does not follow, misses a deadline, or breaks what is `asked`.
+[[nodiscard]] Result<int> check_policy(const AppSpec& app, const Platform& platform,
+                                       const std::string& policy, const solver::Objectives& asked,
+                                       const Options& options);
+[[nodiscard]] Result<int> simulate_policy(const AppSpec& app, const Platform& platform,
+                                          const std::string& policy,
+                                          const solver::steady::PlayOptions& asked,
+                                          const std::string& out, const Options& options);
+
+}  // namespace xauto::cli
