@@ -522,6 +522,7 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
   XAUTO_TRY(validate(scenarios, app, platform));
   if (!app.one_at_a_time) return steady::solve_key_tables(app, platform, scenarios, options);
+  XAUTO_TRY(may_have_priorities(app));
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
     if (scenarios.list[s].degraded && !time_for_a_release(app))
       return fail(ErrorCode::kInvalid,

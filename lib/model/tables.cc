@@ -64,6 +64,27 @@ std::optional<std::int64_t> time_for_a_release(const AppSpec& app) {
   return least_us;
 }
 
+Status may_have_priorities(const AppSpec& app) {
+  const char* hint = "give every source a rate: tables have keys then, which know of it";
+  for (const TransferSpec& transfer : app.transfers)
+    if (transfer.transfer_us > 0)
+      return fail(ErrorCode::kInvalid,
+                  "a message takes " + std::to_string(transfer.transfer_us) +
+                      " us from one XPU to another, and tables of priorities know of no transfers",
+                  app.name + "/edges", hint);
+  const auto differs = [&](const ChainSpec& chain) {
+    return chain.deadline_us != app.chains.front().deadline_us;
+  };
+  if (const auto other = std::find_if(app.chains.begin(), app.chains.end(), differs);
+      other != app.chains.end())
+    return fail(ErrorCode::kInvalid,
+                "chains '" + app.chains.front().name + "' and '" + other->name +
+                    "' have different deadlines, and tables of priorities know one, of a whole "
+                    "release",
+                app.name + "/chains", hint);
+  return {};
+}
+
 AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss) {
   return app_with(app_under(app, scenario), loss);
 }
@@ -370,6 +391,7 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
     return fail(ErrorCode::kInvalid,
                 app.one_at_a_time ? "have keys, and no source has a rate" : "have no keys",
                 "/tables", "solve again");
+  if (app.one_at_a_time) XAUTO_TRY(may_have_priorities(app));
   if (tables.app != app.name)
     return fail(ErrorCode::kInvalid,
                 "are for app '" + tables.app + "', this is app '" + app.name + "'", "/app");

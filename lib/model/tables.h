@@ -103,6 +103,9 @@ inline constexpr std::size_t kMaxTables = 100;
 
 /// By when a release is to end: the least of its deadlines; nullopt: there is none.
 [[nodiscard]] std::optional<std::int64_t> time_for_a_release(const AppSpec& app);
+/// kInvalid: tables of priorities of this app would claim what is not so. They claim one time, of a whole release, in
+/// which nothing is transferred; and one deadline is held against it.
+[[nodiscard]] Status may_have_priorities(const AppSpec& app);
 
 /// What a table has to schedule under `scenario`, and on what: app_with() of app_under().
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss);

@@ -26,8 +26,8 @@ struct ReleasePlan {
 /// "heft", "local": what a plan of one release by that method is as a policy of priorities, of which nothing is claimed.
 struct Baseline {
   KeyPolicy policy;
-  std::int64_t release_us =
-      0;  ///< from the first start to the last end, each job at its WCET, no other release beside
+  /// From the first start to the last end, each job at its WCET, no other release beside, transfers in no time.
+  std::int64_t release_us = 0;
 };
 [[nodiscard]] Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
                                         const SolveOptions& options);

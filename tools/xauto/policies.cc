@@ -535,10 +535,10 @@ Result<int> solve_baseline(const AppSpec& app, const Platform& platform,
     std::cout << root.dump(2) << "\n";
   } else {
     std::cout << fmt::format(
-        "{} on {}: priorities by {}. One release, every job at its WCET and no other release "
-        "beside "
-        "it: {}.\nNothing is claimed of any time.\n",
-        app.name, platform.name, asked.method, ms(made.release_us));
+        "{} on {}: priorities by {}. One release, every job at its WCET, no other release beside "
+        "it{}: {}.\nNothing is claimed of any time.\n",
+        app.name, platform.name, asked.method,
+        app.transfers.empty() ? "" : " and transfers in no time", ms(made.release_us));
   }
   std::cout.flush();
   if (!out.empty()) outputs.write(out, to_json(made.policy, app, platform));

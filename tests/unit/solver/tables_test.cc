@@ -494,8 +494,31 @@ TEST(Tables, NothingSaysForWhatItWouldLose) {
   const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3));
   ASSERT_FALSE(tables);
   EXPECT_EQ(tables.error().where, "/scenarios/1/degraded");
-  c.app.chains.front().deadline_us = 100'000'000;
+  for (ChainSpec& chain : c.app.chains) chain.deadline_us = 100'000'000;
   EXPECT_TRUE(solve_tables(c.app, c.platform, c.scenarios, tables_budget(3)));
+}
+
+// A priority knows of neither: what is claimed would be too short, or of the wrong deadline.
+TEST(Tables, NoneOfPrioritiesForTransfersOrDeadlinesThatDiffer) {
+  const ManyScenarios c = under_scenarios(6, 3);
+  const auto made = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2));
+  ASSERT_TRUE(made) << made.error().to_string();
+  AppSpec moves = c.app, two = c.app;
+  moves.transfers.push_back({0, "cpu", "gpu", 1});
+  two.chains.push_back(two.chains.front());
+  two.chains.back().name = "sooner";
+  two.chains.back().deadline_us = 5;
+  for (const AppSpec& app : {moves, two}) {
+    const auto refused = solve_tables(app, c.platform, c.scenarios, tables_budget(2));
+    ASSERT_FALSE(refused);
+    EXPECT_NE(refused.error().to_string().find("tables of priorities know"), std::string::npos)
+        << refused.error().to_string();
+    Tables claims = *made;
+    claims.app_hash = app.hash();
+    const Status read = validate(claims, app, c.platform);
+    ASSERT_FALSE(read);
+    EXPECT_EQ(read.error().what, refused.error().what);
+  }
 }
 
 TEST(Tables, EachFalseNumberIsALie) {
