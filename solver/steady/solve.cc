@@ -385,7 +385,8 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
       const Until around{
           later(std::chrono::steady_clock::now(), std::min(kAroundOnlyPlanS, kForPlans * limit)),
           options.stop};
-      Incumbents free = round.search(p, reference, &seed->policy, Keep::kNothing,
+      const KeyPolicy* from = options.hint != nullptr ? options.hint : &seed->policy;
+      Incumbents free = round.search(p, reference, from, Keep::kNothing,
                                      {around, to_finish, options.max_evaluations, around, {}});
       if (free.any() && found.add(free.best())) seed = nullptr;
     }
