@@ -20,6 +20,23 @@ class Keeper {
   Keeper(AppSpec& app, const AppSpec& old, std::vector<std::string>& lines)
       : app_(app), old_(old), lines_(lines) {}
 
+  /// Rates or none: of all sources the same, and the file's go before the program's.
+  Status rates() {
+    if (app_.one_at_a_time == old_.one_at_a_time) return {};
+    for (const SourceSpec& source : app_.sources)
+      if (std::none_of(old_.sources.begin(), old_.sources.end(),
+                       [&](const SourceSpec& s) { return s.name == source.name; }))
+        return fail(ErrorCode::kInvalid,
+                    "source '" + source.name + "' is new, and the program gives it " +
+                        (old_.one_at_a_time ? "a rate: no source in the file has one"
+                                            : "no rate: the sources in the file have one"));
+    lines_.emplace_back(old_.one_at_a_time ? "kept: no source has a rate (the program gives rates)"
+                                           : "kept: the sources' rates (the program gives none)");
+    app_.one_at_a_time = old_.one_at_a_time;
+    rates_differ_ = true;
+    return {};
+  }
+
   void sources() {
     app_.clocks = old_.clocks;
     for (const SourceSpec& asked : old_.sources) {
@@ -30,11 +47,11 @@ class Keeper {
         continue;
       }
       SourceSpec kept = asked;
-      if (asked.period != at->period)
+      if (asked.period != at->period && !rates_differ_)
         lines_.push_back("kept: source '" + asked.name + "': " + asked.period.text() +
                          " (the program says " + at->period.text() + ")");
       // A measured jitter is only ever the longest that was seen: so is one that was asked for.
-      kept.jitter_us = std::max(asked.jitter_us, at->jitter_us);
+      kept.jitter_us = app_.one_at_a_time ? 0 : std::max(asked.jitter_us, at->jitter_us);
       if (asked.jitter_us > at->jitter_us)
         lines_.push_back("kept: source '" + asked.name + "': jitter_us " +
                          std::to_string(asked.jitter_us) +
@@ -131,6 +148,7 @@ class Keeper {
   AppSpec& app_;
   const AppSpec& old_;
   std::vector<std::string>& lines_;
+  bool rates_differ_ = false;
 };
 
 /// Every text in it but those of the keys that name no XNode.
@@ -175,11 +193,15 @@ Result<std::string> with_what_was_asked(AppSpec fresh, std::string_view old_text
     return to_json(fresh);
   }
   Keeper keeper(fresh, old, lines);
-  keeper.sources();
-  keeper.modules();
-  keeper.chains();
-  keeper.transfers();
-  if (const Status valid = validate(fresh); !valid) {
+  Status valid = keeper.rates();
+  if (valid) {
+    keeper.sources();
+    keeper.modules();
+    keeper.chains();
+    keeper.transfers();
+    valid = validate(fresh);
+  }
+  if (!valid) {
     Error error = valid.error();
     error.where = origin;
     error.what = "what it asks for and what was measured are no app together: " + error.what;

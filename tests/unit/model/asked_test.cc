@@ -149,5 +149,33 @@ TEST(Asked, TheFilesDeadlineGoesBeforeTheProgramsWhichFillsIn) {
             1);
 }
 
+TEST(Asked, RatesOrNoneAreTheFilesAndOfAllSources) {
+  const char* const without = R"({"name": "camera"}, {"name": "lidar"})";
+  const Kept none = keep(old_app(without));
+  EXPECT_TRUE(none.app.one_at_a_time);
+  EXPECT_TRUE(none.says("kept: no source has a rate (the program gives rates)"));
+
+  AppSpec fresh = parse_app(old_app(without), "fresh").value();
+  std::vector<std::string> lines;
+  const auto rates = parse_app(
+      with_what_was_asked(fresh, old_app(kSources), "app.json", lines).value(), "app.json");
+  ASSERT_TRUE(rates) << rates.error().to_string();
+  EXPECT_FALSE(rates->one_at_a_time);
+  EXPECT_EQ(rates->sources[1].period, parse_app(old_app(kSources), "old")->sources[1].period);
+  EXPECT_EQ(lines.front(), "kept: the sources' rates (the program gives none)");
+
+  // A source of the program's alone has what the others have not.
+  for (const bool file_has_rates : {true, false}) {
+    AppSpec more = file_has_rates ? fresh : fresh_app();
+    more.sources.push_back(more.sources.front());
+    more.sources.back().name = "radar";
+    const auto refused =
+        with_what_was_asked(more, old_app(file_has_rates ? kSources : without), "app.json", lines);
+    ASSERT_FALSE(refused);
+    EXPECT_NE(refused.error().what.find("'radar' is new"), std::string::npos)
+        << refused.error().to_string();
+  }
+}
+
 }  // namespace
 }  // namespace xauto
