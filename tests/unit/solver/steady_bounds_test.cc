@@ -150,10 +150,7 @@ TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
       ASSERT_LE(bounds[c], best.chain[c]) << "seed " << seed << " chain " << app.chains[c].name;
       tight += bounds[c] == best.chain[c] ? 1 : 0;
     }
-    Options options;
-    options.max_evaluations = 600;
-    options.time_limit_s = 60;
-    const Result<Answer> answer = solve(app, platform, options);
+    const Result<Answer> answer = solve(app, platform, brief(600));
     ASSERT_TRUE(answer);
     ASSERT_NE(answer->outcome, Outcome::kUnsustainable) << "seed " << seed;
     if (answer->outcome != Outcome::kPolicy) continue;
@@ -319,13 +316,8 @@ TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
       derive_ready(*p, static_cast<int>(d), best.xpu, w);
     for (const Chain& chain : p->chains)
       policy.chains.push_back({chain.name, worst_case(*p, chain, w), 0, false});
-    for (int k = 0; k < 40; ++k) {
-      Disturbance how;
-      how.seed = static_cast<std::uint64_t>(k) + 1;
-      how.worst_times = k % 3 == 0;
-      how.shortest_times = k % 3 == 1;
-      ASSERT_EQ(NaiveRun(app, platform, policy, 12, how).run(), "") << "seed " << seed;
-    }
+    std::int64_t jobs = 0;
+    ASSERT_EQ(play_naively(app, platform, policy, 40, 12, jobs), "") << "seed " << seed;
   }
   EXPECT_GT(played, 12);
 }

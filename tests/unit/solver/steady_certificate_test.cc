@@ -4,30 +4,14 @@
 // Keys and holds of others have to be judged right, too: a hint's, a caller's.
 #include <gtest/gtest.h>
 
-#include "solver/steady/certificate.h"
-
 #include "attack/attack.h"
 #include "attack/producer.h"
+#include "steady_certified.h"
 
 namespace xauto::solver::steady::test {
 namespace {
 
 using attack::Case;
-
-bool certified(const Case& c) {
-  const auto p = Problem::create(c.app, c.platform, {}, c.policy.order);
-  if (!p) return false;
-  std::vector<int> xpu;
-  for (int i = 0; i < p->num_xnodes; ++i) {
-    const KeyPlacement& placement = c.policy.placements[at(i)];
-    xpu.push_back(placement.xpu);
-    const std::size_t keys = placement.key_us.size(), holds = placement.hold_us.size();
-    const std::size_t jobs = at(p->jobs[at(i)]);
-    if (jobs % keys != 0 || (holds > 0 && jobs % holds != 0)) return false;
-  }
-  Windows w = keys_and_holds(*p, c.policy);
-  return certify(*p, xpu, w);
-}
 
 attack::Wanted mixture(std::uint64_t seed) {
   attack::Wanted w;

@@ -41,9 +41,7 @@ std::optional<Case> solved(int kind, std::uint64_t seed) {
   Case c;
   c.app = random_steady_app(dice, shape_of(kind));
   c.platform = random_steady_platform(dice);
-  Options options;
-  options.time_limit_s = 60;
-  options.max_evaluations = 300;
+  Options options = brief(300);
   options.seed = seed;
   auto answer = solve(c.app, c.platform, options);
   EXPECT_TRUE(answer) << seed;
@@ -146,9 +144,7 @@ TEST(SteadyHolds, GoAlsoWherePairsJoinComponents) {
     for (SourceSpec& source : app.sources) source.period = {60};
     Platform platform = random_steady_platform(dice);
     platform.xpus.back().preempt_us = platform.xpus.back().preemptive ? 2 : 0;
-    Options options;
-    options.time_limit_s = 60;
-    options.max_evaluations = 100;
+    Options options = brief(100);
     options.seed = seed;
     const auto answer = solve(app, platform, options);
     ASSERT_TRUE(answer) << seed;

@@ -6,11 +6,11 @@
 
 #include <gtest/gtest.h>
 
-#include "solver/steady/certificate.h"
 #include "solver/steady/play.h"
 
 #include "attack/attack.h"
 #include "attack/producer.h"
+#include "steady_certified.h"
 #include "steady_naive.h"
 #include "steady_random.h"
 
@@ -18,22 +18,6 @@ namespace xauto::solver::steady::test {
 namespace {
 
 using attack::Case;
-
-/// What the solver's own certificate says of a policy.
-bool is_certified(const Case& c) {
-  const auto p = Problem::create(c.app, c.platform, {}, c.policy.order);
-  if (!p) return false;
-  std::vector<int> xpu;
-  for (int i = 0; i < p->num_xnodes; ++i) {
-    const KeyPlacement& placement = c.policy.placements[at(i)];
-    xpu.push_back(placement.xpu);
-    const std::size_t keys = placement.key_us.size(), holds = placement.hold_us.size();
-    const std::size_t jobs = at(p->jobs[at(i)]);
-    if (jobs % keys != 0 || (holds > 0 && jobs % holds != 0)) return false;
-  }
-  Windows w = keys_and_holds(*p, c.policy);
-  return certify(*p, xpu, w);
-}
 
 void set_levels(Platform& platform, int levels) {
   for (Xpu& xpu : platform.xpus)
@@ -194,7 +178,7 @@ TEST(SteadyLevels, AllExecutionsStartOnTheLastLevelAsItSays) {
 
 /// What is certified is in time in all executions; told of another number of levels it is not.
 TEST(SteadyLevels, NoExecutionOfAFewJobsIsLate) {
-  int certified = 0, tight = 0, one_more = 0, any_number = 0, refused_by_check = 0;
+  int in_time = 0, tight = 0, one_more = 0, any_number = 0, refused_by_check = 0;
   for (std::uint64_t seed = 1; seed <= 1500; ++seed) {
     const int levels = 2 + static_cast<int>(seed % 2);
     Tiny t = tiny(seed, levels);
@@ -205,9 +189,9 @@ TEST(SteadyLevels, NoExecutionOfAFewJobsIsLate) {
       late = late || seen.end[i] > t.jobs[i].key;
       at_key = at_key || seen.end[i] == t.jobs[i].key;
     }
-    const bool holds = is_certified(t.c);
+    const bool holds = certified(t.c);
     EXPECT_FALSE(holds && late) << seed;
-    certified += holds ? 1 : 0;
+    in_time += holds ? 1 : 0;
     tight += holds && at_key ? 1 : 0;
     attack::Case claims = t.c;
     claims.policy.app = t.c.app.name;
@@ -221,16 +205,16 @@ TEST(SteadyLevels, NoExecutionOfAFewJobsIsLate) {
     EXPECT_FALSE(holds && !checked) << seed;
     refused_by_check += checked ? 0 : 1;
     set_levels(t.c.platform, levels + 1);
-    one_more += is_certified(t.c) && late ? 1 : 0;
+    one_more += certified(t.c) && late ? 1 : 0;
     set_levels(t.c.platform, 0);
-    any_number += is_certified(t.c) && late ? 1 : 0;
+    any_number += certified(t.c) && late ? 1 : 0;
   }
   std::printf(
       "%d certified, %d of them reach a key; late and certified with a level more: %d, with any: "
       "%d\n",
-      certified, tight, one_more, any_number);
-  EXPECT_GE(certified, 200);
-  EXPECT_GE(tight, certified / 4);
+      in_time, tight, one_more, any_number);
+  EXPECT_GE(in_time, 200);
+  EXPECT_GE(tight, in_time / 4);
   EXPECT_GE(refused_by_check, 50);
   EXPECT_GE(one_more, 5) << "whoever counts a level too many is not found";
   EXPECT_GE(any_number, 5) << "whoever forgets blocking is not found";
@@ -257,9 +241,9 @@ TEST(SteadyLevels, NothingBreaksWhatIsJustAccepted) {
   for (std::uint64_t seed = 1; seed <= 90; ++seed) {
     auto c = attack::valid(seed, by_levels(seed));
     if (!c) continue;
-    const bool own = seed % 2 == 0 && is_certified(*c);
+    const bool own = seed % 2 == 0 && certified(*c);
     if (own)
-      attack::tighten(*c, seed, seed % 3 == 0, is_certified);
+      attack::tighten(*c, seed, seed % 3 == 0, certified);
     else
       attack::tighten(*c, seed, seed % 3 == 0);
     ++made;
@@ -296,7 +280,7 @@ TEST(SteadyLevels, PoliciesForOtherLevelsAreRefusedAndBroken) {
       c->platform = truth;
       ++made;
       const bool accepted = attack::check(c->app, c->platform, c->policy).has_value();
-      const bool own = is_certified(*c);
+      const bool own = certified(*c);
       const auto found = attack::attack(c->app, c->platform, c->policy, {40'000, seed});
       EXPECT_FALSE((accepted || own) && !found.late.empty()) << seed << found.late;
       refused += accepted ? 0 : 1;
@@ -312,7 +296,8 @@ TEST(SteadyLevels, PoliciesForOtherLevelsAreRefusedAndBroken) {
 // --------------------------------------------------------------------------------- the solver's
 
 struct Played {
-  int policies = 0, jobs = 0;
+  int policies = 0;
+  std::int64_t jobs = 0;
 };
 
 /// The solver is told `told` levels; what broke first.
@@ -338,17 +323,8 @@ std::string solve_and_play(const SteadyShape& shape, int apps, int plays,
       const auto derived = check(app, platform, answer->policy);
       EXPECT_TRUE(derived) << "app " << a << ": " << (derived ? "" : derived.error().to_string());
     }
-    for (int k = 0; k < plays; ++k) {
-      Disturbance how;
-      how.seed = static_cast<std::uint64_t>(k) + 1;
-      how.worst_times = k % 3 == 0;
-      how.shortest_times = k % 3 == 1;
-      NaiveRun run(app, platform, answer->policy, 14, how);
-      const std::string broken = run.run();
-      played.jobs += run.completed();
-      if (!broken.empty())
-        return "app " + std::to_string(a) + " run " + std::to_string(k) + ": " + broken;
-    }
+    const std::string broken = play_naively(app, platform, answer->policy, plays, 14, played.jobs);
+    if (!broken.empty()) return "app " + std::to_string(a) + " " + broken;
   }
   return {};
 }

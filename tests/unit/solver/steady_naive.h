@@ -384,4 +384,21 @@ class NaiveRun {
   std::vector<Job> jobs_;
 };
 
+/// `plays` runs, each disturbed its own way: a third at WCETs, a third far below them. What was broken first, or nothing.
+inline std::string play_naively(const AppSpec& app, const Platform& platform,
+                                const KeyPolicy& policy, int plays, int activations,
+                                std::int64_t& jobs) {
+  for (int k = 0; k < plays; ++k) {
+    Disturbance how;
+    how.seed = static_cast<std::uint64_t>(k) + 1;
+    how.worst_times = k % 3 == 0;
+    how.shortest_times = k % 3 == 1;
+    NaiveRun run(app, platform, policy, activations, how);
+    const std::string broken = run.run();
+    jobs += run.completed();
+    if (!broken.empty()) return "run " + std::to_string(k) + ": " + broken;
+  }
+  return {};
+}
+
 }  // namespace xauto::solver::steady

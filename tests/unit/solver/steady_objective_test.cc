@@ -64,10 +64,8 @@ TEST(SteadyObjective, TheMixIsNearTheLeastLargestAndBelowItsSum) {
     const Platform platform = random_steady_platform(dice);
     for (ChainSpec& chain : app.chains) chain.deadline_us = 60 + 40 * dice.roll(0, 5);
     const auto solved = [&](Aim aim) {
-      Options options;
+      Options options = brief(1500);
       options.aim = aim;
-      options.time_limit_s = 60;
-      options.max_evaluations = 1500;
       auto answer = solve(app, platform, options);
       EXPECT_TRUE(answer) << seed;
       return std::move(answer).value();
@@ -107,9 +105,7 @@ TEST(SteadyObjective, NoMixIsWorseThanItsHint) {
     AppSpec app = random_steady_app(dice, shape);
     const Platform platform = random_steady_platform(dice);
     for (ChainSpec& chain : app.chains) chain.deadline_us = 60 + 40 * dice.roll(0, 5);
-    Options options;
-    options.time_limit_s = 60;
-    options.max_evaluations = 1500;
+    Options options = brief(1500);
     const auto before = solve(app, platform, options);
     ASSERT_TRUE(before) << seed;
     if (before->outcome != Outcome::kPolicy || before->totals.largest > 1) continue;

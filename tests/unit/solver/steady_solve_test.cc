@@ -42,17 +42,8 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
       const auto derived = check(app, platform, answer->policy);
       EXPECT_TRUE(derived) << "app " << a << ": " << (derived ? "" : derived.error().to_string());
     }
-    for (int k = 0; k < plays; ++k) {
-      Disturbance how;
-      how.seed = static_cast<std::uint64_t>(k) + 1;
-      how.worst_times = k % 3 == 0;
-      how.shortest_times = k % 3 == 1;
-      NaiveRun run(app, platform, answer->policy, 14, how);
-      const std::string broken = run.run();
-      played.jobs += run.completed();
-      if (!broken.empty())
-        return "app " + std::to_string(a) + " run " + std::to_string(k) + ": " + broken;
-    }
+    const std::string broken = play_naively(app, platform, answer->policy, plays, 14, played.jobs);
+    if (!broken.empty()) return "app " + std::to_string(a) + " " + broken;
   }
   return {};
 }

@@ -15,13 +15,6 @@
 namespace xauto::solver::steady {
 namespace {
 
-Options with_evaluations(std::int64_t evaluations) {
-  Options options;
-  options.time_limit_s = 60;
-  options.max_evaluations = evaluations;
-  return options;
-}
-
 /// A camera and a slower lane keeper share one CPU; the camera's releases may be urgent.
 AppSpec two_chains(std::int64_t by_us = 2000, std::int64_t every_us = 100'000) {
   AppSpec app;
@@ -39,7 +32,7 @@ Platform one_cpu() {
 }
 
 Answer solved(const AppSpec& app, const Platform& platform) {
-  auto answer = solve(app, platform, with_evaluations(2000));
+  auto answer = solve(app, platform, brief(2000));
   EXPECT_TRUE(answer && answer->outcome == Outcome::kPolicy)
       << (answer ? "no policy" : answer.error().to_string());
   return answer ? *answer : Answer{};
@@ -157,7 +150,7 @@ std::string attack_random(const SteadyShape& shape, int apps, int plays, std::ui
     EXPECT_TRUE(validate(app)) << validate(app).error().to_string();
     AppSpec told = app;
     if (blind) blind(told);
-    auto answer = solve(told, platform, with_evaluations(150));
+    auto answer = solve(told, platform, brief(150));
     if (!answer) return answer.error().to_string();
     if (answer->outcome != Outcome::kPolicy) continue;
     ++tried.policies;
@@ -168,17 +161,8 @@ std::string attack_random(const SteadyShape& shape, int apps, int plays, std::ui
       EXPECT_EQ(checked->chains[c].urgent_us.has_value(),
                 checked->chains[c].claimed_urgent_us.has_value());
     }
-    for (int k = 0; k < plays; ++k) {
-      Disturbance how;
-      how.seed = static_cast<std::uint64_t>(k) + 1;
-      how.worst_times = k % 3 == 0;
-      how.shortest_times = k % 3 == 1;
-      NaiveRun run(app, platform, answer->policy, 14, how);
-      const std::string broken = run.run();
-      tried.jobs += run.completed();
-      if (!broken.empty())
-        return "app " + std::to_string(a) + " run " + std::to_string(k) + ": " + broken;
-    }
+    const std::string broken = play_naively(app, platform, answer->policy, plays, 14, tried.jobs);
+    if (!broken.empty()) return "app " + std::to_string(a) + " " + broken;
     const auto found = attack::attack(app, platform, answer->policy, {10'000, seed});
     tried.jobs += found.jobs;
     if (found.broken()) return "app " + std::to_string(a) + ", attack: " + found.late + found.chain;
@@ -243,7 +227,7 @@ TEST(SteadyUrgent, AllPatternsOfTinyApps) {
     if (app.xnodes.size() < 2 || app.xnodes.size() > 3) continue;
     if (!app.sources[0].urgent) app.sources[0].urgent = {3, app.sources[0].period.num * 2};
     const Platform platform = random_steady_platform(dice);
-    const auto answer = solve(app, platform, with_evaluations(150));
+    const auto answer = solve(app, platform, brief(150));
     ASSERT_TRUE(answer) << answer.error().to_string();
     if (answer->outcome != Outcome::kPolicy) continue;
     ++policies;
