@@ -61,7 +61,7 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
   std::atomic<std::uint64_t> early{};     ///< [H] ... that came too soon
-  /// [H] of an app of one rate: releases that came while an earlier one was still in flight.
+  /// [H] of an app that releases one at a time: releases that came while an earlier one was still in flight.
   std::atomic<std::uint64_t> overlapping{};
   /// [H] with tables: how often jobs, or the machine's clocks, were those of no scenario.
   std::atomic<std::uint64_t> outside_jobs{}, outside_clocks{};

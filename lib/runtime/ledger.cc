@@ -147,7 +147,7 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)
     open_[sequence - open_base_] = {origin_ns, origin_ns, sinks_left, false};
-  if (in_flight_.fetch_add(1) > 0 && !context_.session.tables_of_keys())
+  if (in_flight_.fetch_add(1) > 0 && context_.grid.one_at_a_time)
     context_.board.header().overlapping.fetch_add(1, std::memory_order_relaxed);
 }
 

@@ -148,7 +148,7 @@ struct RunReport {
   /// app's report.
   std::vector<std::string> dead_daemons;
   std::uint64_t deadline_misses = 0;
-  /// Of an app of one rate: releases that came while an earlier one was still in flight.
+  /// Of an app that releases one at a time: releases that came while an earlier one was still in flight.
   std::uint64_t overlapping_releases = 0;
   /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
   /// the way it was set up; a line each, for people.

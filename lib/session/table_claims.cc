@@ -28,9 +28,9 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
   claims.scope = by_keys ? kKeyScope : kWorstCaseScope;
   claims.broken = report.unkept;
   claims.broken.insert(claims.broken.end(), report.broken.begin(), report.broken.end());
-  if (report.overlapping_releases > 0)
-    claims.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
-                                        report.overlapping_releases, report.num_releases));
+  if (std::string met = words_of_overlaps(report.overlapping_releases, report.num_releases);
+      !met.empty())
+    claims.broken.push_back(std::move(met));
   std::uint64_t lost = 0;  // by keys each activation counts
   for (const ModuleReport& m : report.modules) lost += by_keys ? m.failed + m.dropped : 0;
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
@@ -149,6 +149,12 @@ std::vector<std::string> words_of(const FailedPreemptionReport& failed) {
         fmt::format("preemption failed {} on {}: the work of XNode '{}' was not resumed",
                     times(failed.resumes), failed.xpu, failed.xnode));
   return lines;
+}
+
+std::string words_of_overlaps(std::uint64_t overlapping, std::uint64_t releases) {
+  if (overlapping == 0) return {};
+  return fmt::format("{} of {} releases came while an earlier one was in flight", overlapping,
+                     releases);
 }
 
 std::string words_of_overruns(const RunReport& report) {

@@ -52,6 +52,8 @@ struct TableClaims {
 /// "preemption failed 3 times on gpu0: the work of XNode 'x' was not suspended"; and of resuming; a line each.
 [[nodiscard]] std::vector<std::string> words_of(const FailedPreemptionReport& failed);
 
+/// Releases that met in an app that releases one at a time; empty: none did.
+[[nodiscard]] std::string words_of_overlaps(std::uint64_t overlapping, std::uint64_t releases);
 /// Jobs longer than their WCET, of tables longer than their scenario's; empty: there was none.
 [[nodiscard]] std::string words_of_overruns(const RunReport& report);
 

@@ -176,19 +176,15 @@ std::string claims_text(const Counts& counts) {
   const auto claim = [&](std::int64_t us) {
     return us == 0 ? "-" : (stands ? "" : "*") + in_ms(us);
   };
-  const auto add = [&](const std::string& name, const FlowCounts& flow) {
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", name, in_ms(flow.last_us),
-                       in_ms(flow.longest_us), claim(flow.worst_case_us),
-                       flow.lower_bound_us == 0 ? "-" : in_ms(flow.lower_bound_us));
-  };
   for (const ScenarioCounts& s : counts.scenarios)
     out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", "scenario '" + s.name + "'", "",
                        in_ms(s.longest_us), claim(s.worst_case_us), "-");
   const bool tables = !counts.scenarios.empty();
-  if (counts.whole.worst_case_us > 0 && !tables) add("a release", counts.whole);
   for (const FlowCounts& chain : counts.chains) {
     if (tables && chain.worst_case_us == 0) continue;  // what is claimed is of releases
-    add(chain.name, chain);
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", chain.name, in_ms(chain.last_us),
+                       in_ms(chain.longest_us), claim(chain.worst_case_us),
+                       chain.lower_bound_us == 0 ? "-" : in_ms(chain.lower_bound_us));
     if (chain.urgent_worst_case_us > 0)
       out += fmt::format("  {:<28}{:>9}{:>9}{:>12}\n", "  urgent", "",
                          in_ms(chain.longest_urgent_us), claim(chain.urgent_worst_case_us));

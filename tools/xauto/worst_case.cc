@@ -49,6 +49,10 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   std::uint64_t lost = 0;
   for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
+  if (std::string met =
+          runtime::words_of_overlaps(run.report.overlapping_releases, run.report.num_releases);
+      !met.empty())
+    claims.broken.push_back(std::move(met));
   if (std::string over = runtime::words_of_overruns(run.report); !over.empty())
     claims.broken.push_back(std::move(over));
   for (std::string& line : runtime::words_of_unended(run.report))

@@ -551,6 +551,65 @@ TEST(Run, AModuleFiresByTheClock) {
   EXPECT_NE(wrong.error().what.find("fires by the clock twice"), std::string::npos);
 }
 
+/// FIRST -> SECOND, which takes three periods. How often FIRST began before SECOND had ended: the stages' own word.
+int times_met(Period period, bool one_at_a_time) {
+  const Topic<int> camera("camera"), between("between"), result("result");
+  std::atomic<int> open{0}, met{0};
+  const auto init = [](const XpuId& id) {
+    auto context = emu::Context::open(id).value();
+    const SchedHandle handle = context.handle();
+    return own(std::make_unique<emu::Context>(std::move(context)), handle);
+  };
+  XNode<State> begin("begin"), end("end");
+  begin.add_impl(XPU::CPU, init, [&](emu::Context&, State&, const Input&) {
+    met += open.fetch_add(1) > 0 ? 1 : 0;
+  });
+  end.add_impl(XPU::CPU, init, [&](emu::Context& context, State&, const Input&) {
+    EXPECT_TRUE(context.run(3ms));
+    --open;
+  });
+  XModule<State> first("FIRST"), second("SECOND");
+  App app("chain");
+  app.add_module(
+      first.add_node(begin).add_input_topic(camera).add_output_topic(between, &State::value));
+  app.add_module(
+      second.add_node(end).add_input_topic(between).add_output_topic(result, &State::value));
+  app.add_source(camera, 1ms, [](std::uint64_t k) { return static_cast<int>(k); });
+
+  AppSpec spec;
+  spec.name = "chain";
+  spec.xnodes = {{"begin", "FIRST", {{"cpu", 100}}}, {"end", "SECOND", {{"cpu", 3000}}}};
+  spec.xnodes[0].sources = {0};
+  spec.edges = {{0, 1}};
+  spec.one_at_a_time = one_at_a_time;
+  spec.sources = {{"camera", period}};
+  complete_modules(spec);
+  complete_chains(spec);
+  Platform platform;
+  platform.name = "two";
+  platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}};
+  Policy policy;
+  policy.app = spec.name;
+  policy.app_hash = spec.hash();
+  policy.method = "heft";
+  policy.platform = platform.name;
+  policy.placements = {{0, 2}, {1, 1}};
+  const auto report = app.run(RunOptions()
+                                  .app(to_json(spec))
+                                  .platform(to_json(platform))
+                                  .policy(to_json(by_priorities(policy, spec), spec, platform))
+                                  .emulate()
+                                  .activations(20));
+  EXPECT_TRUE(report && report->results("SECOND") > 0)
+      << (report ? report->json() : report.error().to_string());
+  return met;
+}
+
+TEST(Run, ReleasesMeetWhereTheyHaveARateAndNowhereElse) {
+  EXPECT_EQ(times_met(kNoRate, true), 0);
+  EXPECT_GT(times_met(Period{1000}, false), 0) << "the same program, which shows that it would see";
+}
+
 TEST(Run, TwoAppsSideBySideHaveTheirOwnDaemons) {
   Fixture a("a"), b("b");
   Result<RunReport> of_a = fail(ErrorCode::kInternal, "not run"), of_b = of_a;

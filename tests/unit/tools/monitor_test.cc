@@ -449,6 +449,17 @@ TEST(Counts, AJobPastItsWcetBreaksTheClaimOfOnePolicyAndABudgetDoesNot) {
   EXPECT_EQ(count("budget_overrun"), -4);
 }
 
+TEST(Counts, ReleasesThatMetBreakTheClaimsOfOneAtATime) {
+  const auto board = runtime::Board::local({.nodes = 1, .flows = 2});
+  board->flow(1).worst_case_us = board->flow(1).allowed_us = 50'000;  // a chain's, by keys
+  EXPECT_TRUE(counts_of(*board).claims.stands());
+  board->count_release();
+  board->count_release();
+  board->header().overlapping = 1;  // counted where app.json has no rates
+  EXPECT_EQ(counts_of(*board).claims.broken,
+            std::vector<std::string>{"1 of 2 releases came while an earlier one was in flight"});
+}
+
 TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
   const auto board = runtime::Board::local({.nodes = 1, .scenarios = 1});
   board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
