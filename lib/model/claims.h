@@ -26,8 +26,7 @@ inline constexpr const char* kKeyScope =
 /// The same where no source has a rate.
 inline constexpr const char* kOneAtATimeScope =
     "every release, let in when the one before has ended, within the app's WCETs and transfers, "
-    "where "
-    "each XPU serves this app alone, by the policy's keys and holds";
+    "where each XPU serves this app alone, by the policy's keys and holds";
 [[nodiscard]] constexpr const char* scope_of(bool one_at_a_time) {
   return one_at_a_time ? kOneAtATimeScope : kKeyScope;
 }

@@ -143,10 +143,6 @@ ordered_json asks_to_json(const Profile& profile) {
   return asks;
 }
 
-}  // namespace
-
-namespace {
-
 /// Rates, whether they are pushed, and how late their releases were; none: nothing is known.
 std::vector<SourceSpec> read_sources(const Reader& root) {
   std::vector<SourceSpec> sources;

@@ -217,12 +217,11 @@ Status validate(const Profile& profile) {
 
 namespace {
 
-/// `app`, the graph of `profile`, with rates, clocks, samples, and deadlines of chains.
-Result<AppSpec> with_rates(const Profile& profile, AppSpec app) {
-  for (SourceSpec& source : app.sources) source.pushed = false;
-  app.samples = profile.sampled;
-  app.clocks = profile.asks.clocks;
-  AppSpec rated = std::move(app);
+/// `rated`, the graph of `profile`, with rates, clocks, samples, and deadlines of chains.
+Result<AppSpec> with_rates(const Profile& profile, AppSpec rated) {
+  for (SourceSpec& source : rated.sources) source.pushed = false;
+  rated.samples = profile.sampled;
+  rated.clocks = profile.asks.clocks;
   complete_modules(rated);
   complete_chains(rated);
   give_deadlines(rated);

@@ -869,15 +869,15 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
   for (std::size_t i = 0; i < played.xnodes.size(); ++i) {
     const steady::PlayedXNode& node = played.xnodes[i];
     const std::string& xpu = platform.xpus[static_cast<std::size_t>(policy.placements[i].xpu)].id;
+    const bool near = node.jobs > 0 && !policy.by_priority();  // a priority is no time
     xnodes.push_back({{"name", app.xnodes[i].name},
                       {"xpu", xpu},
                       {"jobs", node.jobs},
                       {"late", node.late},
                       {"suspended", node.suspended},
-                      {"closest_us", node.closest_us}});
-    table +=
-        fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", app.xnodes[i].name, xpu, node.jobs,
-                    node.late, node.suspended, node.jobs > 0 ? ms_of(node.closest_us) : "-");
+                      {"closest_us", near ? Json(node.closest_us) : Json()}});
+    table += fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", app.xnodes[i].name, xpu,
+                         node.jobs, node.late, node.suspended, near ? ms_of(node.closest_us) : "-");
   }
   table += fmt::format("\n  {:<24}{:>14}{:>14}{:>14}{:>14}{:>10}\n", "chain", "median", "99 %",
                        "longest seen", "worst case", "releases");
