@@ -104,7 +104,8 @@ class Flow(unittest.TestCase):
                   self.path("mt.json"), *limits)
         self.good("check", "--app", self.path("ma.json"), *bench, "--policy", self.path("mt.json"))
         self.assertEqual(xauto("profile", *bench, "--merge", self.path("full.json"), "--read", self.path("full.json")).returncode, 2)
-        for wrong in (["--tables", 2], ["--regret", 1.1]), (["--method", "heft"], asked[4:] + ["--tables", 1]), ([], asked[4:]):
+        for wrong in ((["--tables", 2], ["--regret", 1.1]), (["--method", "heft"], asked[4:] + ["--tables", 1]), ([], asked[4:]),
+                      (["--method", "heft"], ["--objective", "sum"])):
             refused = xauto("solve", "--app", APP, "--platform", "small", *wrong[0], *wrong[1])
             self.assertEqual(refused.returncode, 2, refused.stdout)
         refused = xauto("solve", "--app", STEADY, *asked[2:], "--tables", 1)

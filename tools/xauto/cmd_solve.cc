@@ -78,6 +78,10 @@ Result<int> solve(const SolveFlags& flags, const Options& options) {
   if (flags.tables > 0 || flags.regret > 0)
     return fail(ErrorCode::kInvalid, "are for several scenarios", "--tables, --regret",
                 "name them: --scenarios scenarios.json");
+  const bool of_priorities = asked.method == "heft" || asked.method == "local";
+  if (of_priorities && (!flags.assume.empty() || !flags.hint.empty() || !flags.objective.empty()))
+    return fail(ErrorCode::kInvalid, "has neither --assume, --hint nor --objective",
+                "--method " + asked.method, "leave them out");
   KeyPolicy hint;
   if (!flags.hint.empty()) {
     XAUTO_ASSIGN(hint, load_key_hint(flags.hint, app, platform));
