@@ -115,14 +115,15 @@ class Ros2GateTest : public ::testing::Test {
     executor->add_node(adder.get_node_base_interface());
     return executor;
   }
-  /// Of a gate "gate", one core. 1: its messages have no rate, and are released one at a time.
-  static RunOptions options(std::int64_t distance_us = 1000) {
+  /// Of a gate "gate", one core. Its messages have a rate, or none and are released one at a time: then no release is
+  /// left out that a loaded machine brings late.
+  static RunOptions options(std::optional<std::int64_t> distance_us = std::nullopt) {
     AppSpec spec;
     spec.name = "app";
     spec.xnodes = {{"gate.callback", "gate", {{"cpu", 100}}}};
     spec.xnodes[0].sources = {0};
-    spec.one_at_a_time = distance_us == 1;
-    spec.sources = {{"gate/ready", spec.one_at_a_time ? kNoRate : Period{distance_us}}};
+    spec.one_at_a_time = !distance_us;
+    spec.sources = {{"gate/ready", distance_us ? Period{*distance_us} : kNoRate}};
     complete_modules(spec);
     complete_chains(spec);
     Platform platform;

@@ -66,7 +66,7 @@ TEST_F(Ros2GateTest, TheSubscriptionsDepthIsTheQueueAndAMessageIsTakenWhenItsJob
   };
   Ros2Gate gate(app, "gate", 1us);
   gate.add_node(adder);
-  start(options(1));
+  start();
   send(0);
   await([&] { return adder->calls == 1; });
   for (int k = 1; k <= 10; ++k) send(k);  // the reader's history keeps the newest three
@@ -87,7 +87,7 @@ TEST_F(Ros2GateTest, AReentrantGroupIsReleasedOncePerMessageAndOneAtATime) {
   };
   Ros2Gate gate(app, "gate", 1us);
   gate.add_callback_group(adder->group, adder);
-  start(options(1));
+  start();
   for (int k = 0; k < 8; ++k) send(k);  // seven wait while the first one's callback does
   await([&] { return adder->calls == 1; });
   door.open();
@@ -102,7 +102,7 @@ TEST_F(Ros2GateTest, AMessageWhoseReleaseWasDroppedIsReleasedAgain) {
   Ros2Gate gate(app, "gate", 1us);
   gate.add_node(adder);
   for (int k = 0; k < 60; ++k) send(k);
-  start(options(1).overload("skip"));  // drops what comes while the module is not free
+  start(options().overload("skip"));  // drops what comes while the module is not free
   await([&] { return adder->calls == 60; });
   const auto& report = finish();
   ASSERT_TRUE(report) << report.error().to_string();
@@ -136,7 +136,7 @@ TEST_F(Ros2GateTest, NodesThatStartElsewhereReleaseNothing) {
   std::vector<rclcpp::Node::SharedPtr> nodes;
   for (int k = 0; k < 5; ++k)
     nodes.push_back(std::make_shared<rclcpp::Node>("node" + std::to_string(k)));
-  start(options(1));
+  start();
   send(0);
   await([&] { return adder->calls == 1; });
   for (int k = 5; k < 10; ++k)
