@@ -125,8 +125,10 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
     }
     return;
   }
-  const bool skip =
-      overload_.kind == Overload::Kind::kSkip && room() == nullptr && envelope.message != nullptr;
+  // What an end lets come (the next release in lockstep, say) is there before that end is told to all: it waits for
+  // the activation, which is free then.
+  const bool skip = skips_ && room() == nullptr && ending_ == 0 && envelope.message != nullptr;
+  const std::uint32_t replaced = skips_ && ending_ > 0 ? XAUTO_DROP_SKIPPED : XAUTO_DROP_OVERRUN;
   if (numbered_) {
     if (gap) settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
     if (envelope.message == nullptr)
@@ -134,12 +136,12 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
     else if (skip)
       settle(envelope.sequence + 1, XAUTO_DROP_SKIPPED, lost);
     else if (!queue.waiting.empty())
-      settle(queue.waiting.front().sequence + 1, XAUTO_DROP_OVERRUN, lost);
+      settle(queue.waiting.front().sequence + 1, replaced, lost);
   } else if (skip) {
     lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_SKIPPED});
   } else if (!queue.waiting.empty()) {
     const std::uint64_t old = queue.waiting.front().sequence;
-    lost.push_back({old, old, XAUTO_DROP_OVERRUN});
+    lost.push_back({old, old, replaced});
   }
   if (envelope.message == nullptr || skip) return;
   queue.waiting.clear();
@@ -450,11 +452,16 @@ void ModuleRuntime::finish(Activation& activation, bool succeeded) {
 void ModuleRuntime::settle_only(Activation& activation, bool succeeded, std::vector<Lost>& lost,
                                 Started& started) {
   Skipped skipped;
+  if (skips_) {
+    const Guard lock(mutex_);
+    ending_ = 1;
+  }
   tell(activation, succeeded, skipped);
   tell_skipped(skipped);
   {
     const Guard lock(mutex_);
     turns_.pop_front();
+    ending_ = 0;
     empty(activation);
     fire(lost, started);
     collect_locked();
@@ -555,6 +562,7 @@ void ModuleRuntime::tell_collected(std::vector<Lost>& lost, Started& started) {
   for (const Turn& turn : settled_)
     if (turn.activation != nullptr) empty(*turn.activation);
   settled_.clear();
+  ending_ = 0;
   fire(lost, started);
   collect_locked();
 }

@@ -66,6 +66,7 @@ class alignas(64) ModuleRuntime {
   void set_overload(Overload overload) {
     const Guard lock(mutex_);
     overload_ = overload;
+    skips_ = overload.kind == Overload::Kind::kSkip;
   }
   /// How much earlier than its message's origin the activation counts as released, by input.
   void shift_origins(const std::vector<std::int64_t>& by_ns) {
@@ -200,7 +201,10 @@ class alignas(64) ModuleRuntime {
   }
   void collect() XAUTO_REQUIRES(order_);
   void collect_locked() XAUTO_REQUIRES(order_, mutex_) {
-    for (; over(); turns_.pop_front()) settled_.push_back(turns_.front());
+    for (; over(); turns_.pop_front()) {
+      settled_.push_back(turns_.front());
+      ending_ += turns_.front().activation != nullptr ? 1 : 0;
+    }
   }
   [[nodiscard]] bool held(const Activation& activation) XAUTO_REQUIRES(mutex_);
   void unpark(Started& free) XAUTO_REQUIRES(mutex_);
@@ -245,6 +249,7 @@ class alignas(64) ModuleRuntime {
   const bool numbered_, tells_origins_;
   bool looks_first_;  ///< before its first XNode runs
   bool watched_ = false;
+  bool skips_ = false;  ///< set before the run
   std::int64_t match_ns_ = -1;
   ModuleHost& host_;
   const Board* tables_ = nullptr;
@@ -262,7 +267,8 @@ class alignas(64) ModuleRuntime {
       0;  ///< a queue that was empty when last looked at: the first to look at
   std::uint64_t next_ XAUTO_GUARDED_BY(mutex_) =
       0;  ///< numbered: releases below this number are settled, taken or lost
-  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations that were given up
+  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;    ///< activations that were given up
+  std::size_t ending_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< ... whose end is being told: free soon
   Overload overload_ XAUTO_GUARDED_BY(mutex_);
   std::uint64_t fired_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations so far
   /// What is not settled yet, the oldest first. Numbered: what was lost is told in its turn, since

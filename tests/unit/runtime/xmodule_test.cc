@@ -2,6 +2,7 @@
 // Firing and losing, step by step, without threads: the host is the test.
 #include "runtime/xmodule.h"
 
+#include <functional>
 #include <random>
 #include <span>
 #include <sstream>
@@ -72,6 +73,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
   }
   void done(int, const Activation& activation) override {
     log_ += " done" + std::to_string(activation.input().sequence());
+    if (auto then = std::exchange(at_done_, nullptr)) then();
   }
   void dropped(int, std::uint64_t s, std::uint32_t reason) override {
     log_ += (reason == XAUTO_DROP_FAILED    ? " failed"
@@ -93,6 +95,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
   transport::Channel channel_;
   std::unique_ptr<ModuleRuntime> module_;
   std::string log_;
+  std::function<void()> at_done_;  ///< what somebody does who hears of an end
 };
 
 TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
@@ -294,6 +297,31 @@ TEST_F(Fixture, SkipTakesNothingWhileItIsBusy) {
   message(0, 2);
   message(1, 2);
   EXPECT_EQ(log(), " run2");
+}
+
+/// In lockstep the next release comes as soon as the last one's end is told; it found the module busy.
+TEST_F(Fixture, SkipTakesWhatAnEndLetsCome) {
+  for (const bool numbered : {true, false}) {
+    build(numbered);
+    module_->set_overload({Overload::Kind::kSkip, 1});
+    const auto next = [this](std::uint64_t sequence) {
+      for (const int input : {0, 1}) message(input, sequence);
+    };
+    next(0);
+    at_done_ = [&] { next(1); };
+    EXPECT_EQ(log(), " run0");
+    module_->finish(only(), true);
+    EXPECT_EQ(log(), " done0 out0 run1");
+    at_done_ = [&] {
+      next(2);
+      next(3);
+    };
+    module_->finish(only(), true);
+    EXPECT_EQ(log(), numbered ? " done1 out1 skipped2 skip2 tomb2 run3"
+                              : " done1 skipped2 skipped2 out1 run3");
+    next(4);
+    EXPECT_EQ(log(), numbered ? "" : " skipped4 skipped4");
+  }
 }
 
 /// Whoever hears that k+1 is over takes an untold k for lost: so every release is told once, and
