@@ -6,7 +6,8 @@
 #   VM_ICOUNT=S: the guest's clock counts its instructions (2^S ns each) and jumps over idle time. What the guest measures then does not
 #   depend on how busy this machine is. Its CPUs take turns, so races want the default instead.
 #   VM_THREADS=single: the guest's CPUs take turns in one thread. QEMU 7.2 with a thread each can run code that the guest has patched a moment
-#   ago (an "int3" oops, on a busy machine); loading a scheduler patches the kernel each time.
+#   ago (an "int3" oops, on a busy machine); loading a scheduler patches the kernel each time. So does its boot: a guest that died before its
+#   init ran, where nothing of ours has run yet, is booted once more this way.
 # Status: 0..123 the guest's own, 124 it took too long, 125 it died without a verdict.
 # The verdict travels on the serial line, since neither architecture's Debian cloud kernel can set QEMU's exit status.
 set -uo pipefail
@@ -23,9 +24,16 @@ case $kernel in
   # with them a module that touches user memory by mistake faults.
   *) command=(qemu-system-x86_64 -cpu qemu64,+smap,+smep "${common[@]}" -append "console=ttyS0 $append") ;;
 esac
-timeout -k 5 "${VM_LIMIT_S:-300}" "${command[@]}" </dev/null >"$log" 2>&1
-status=$?
-sed -i 's/\r//g' "$log"
+boot() {
+  timeout -k 5 "${VM_LIMIT_S:-300}" "$@" </dev/null >"$log" 2>&1
+  status=$?
+  sed -i 's/\r//g' "$log"
+}
+boot "${command[@]}"
+if [ "$status" -ne 124 ] && ! grep -q '^# .* CPUs, up' "$log"; then
+  echo "run-vm: the guest died before its init ran: $(grep -m 1 -E 'Oops|BUG|panic' "$log"); once more, in one thread" >&2
+  boot "${command[@]/thread=multi/thread=single}"
+fi
 [ "$status" -eq 124 ] && exit 124
 verdict=$(sed -n 's/^XAUTO-VM-EXIT=\([0-9]*\)$/\1/p' "$log" | tail -n 1)
 [ -n "$verdict" ] && exit "$verdict"
