@@ -150,11 +150,11 @@ full() {
   one "what \`make\` builds where only the group build is installed" \
     bash -c 'cmake --preset release -B build-bare -DXAUTO_BPF=OFF -DXAUTO_PEDESTRIANS=OFF && ninja -C build-bare'
   build ci build && { note "tests, release"; tests build -LE 'integration|area'; integration build; }
-  one "attacks on steady policies" build/tests/attack_steady --policies 40 --solved 10 # 10^8 jobs
+  one "attacks on policies of keys" build/tests/attack_keys --policies 40 --solved 10 # 10^8 jobs
   counted "signals to living runs" tests/attack/signals.py build/bin --signals 2000
   counted "packets to living runs" tests/attack/packets.py build/bin --seconds 1800
   build asan-all build-asan && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; integration build-asan; }
-  tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack|LeastLoss|SteadyHandover|SteadyDrift|SteadyChains|KeyTables|Stretches' # two minutes
+  tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack|LeastLoss|KeysHandover|KeysDrift|KeysChains|KeyTables|Stretches' # two minutes
   tsan
   kernel
   package

@@ -10,15 +10,15 @@ echo "demo: building"
 quick=OFF
 if [ ! -e "$build/CMakeCache.txt" ] || grep -qs '^XAUTO_QUICK:BOOL=ON' "$build/CMakeCache.txt"; then quick=ON; fi
 [ -n "${CONFIGURED:-}" ] || cmake --preset release -D XAUTO_QUICK=$quick >/dev/null
-ninja -C "$build" -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving driving-steady
+ninja -C "$build" -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving driving-rates
 echo "demo: running the Driving Case under four policies, about a minute"
 # Queues: a machine that stands still for a moment, as virtual ones do, loses no release by it.
 "$build"/bin/xauto compare --app examples/driving/app.json --platform small --overload queue:8 \
   --activations "${ACTIVATIONS:-220}" --out "$build"/demo -- "$build"/bin/driving
 echo
 echo "demo: the same at the rates of its sensors: cameras 30 Hz, LiDAR 10 Hz on its own clock, control 50 Hz"
-"$build"/bin/xauto compare --app examples/driving/steady.json --platform small --seconds "${SECONDS_STEADY:-3}" \
-  --time-limit-s 1 --out "$build"/demo/steady -- "$build"/bin/driving-steady
+"$build"/bin/xauto compare --app examples/driving/rates.json --platform small --seconds "${SECONDS_RATES:-3}" \
+  --time-limit-s 1 --out "$build"/demo/rates -- "$build"/bin/driving-rates
 echo
 echo "demo: the GPU at half of its clock after a second: one policy, then a policy for each scenario (docs/modes.md)"
 tables=$build/demo/tables

@@ -91,17 +91,17 @@ solve() {
   here=$(build/bin/xauto solve --app $driving/app.json --platform small --method heft --json | figures)
   [ -n "$here" ] && [ "$there" = "$here" ] || { echo "emulated $there, here $here"; exit 1; }
   "$tool" check --app $driving/app.json --platform small --policy "$out/app.policy.json"
-  "$tool" solve --app $driving/steady.json --platform small --time-limit-s 3 --out "$out/there.json"
-  build/bin/xauto solve --app $driving/steady.json --platform small --time-limit-s 1 --out "$out/here.json"
-  "$tool" check --app $driving/steady.json --platform small --policy "$out/here.json"
-  build/bin/xauto check --app $driving/steady.json --platform small --policy "$out/there.json"
+  "$tool" solve --app $driving/rates.json --platform small --time-limit-s 3 --out "$out/there.json"
+  build/bin/xauto solve --app $driving/rates.json --platform small --time-limit-s 1 --out "$out/here.json"
+  "$tool" check --app $driving/rates.json --platform small --policy "$out/here.json"
+  build/bin/xauto check --app $driving/rates.json --platform small --policy "$out/there.json"
 }
 figures() { grep -oE '"(release|worst_case|lower_bound)_us": *[0-9]+' | tr -d ' ' | tr '\n' ' '; }
 demo() {
   "$tool" compare --app examples/driving/app.json --platform small --overload queue:8 --activations 20 --out "$out/demo" -- "$tree/apps/driving"
   [ -s "$out/demo/timeline.html" ]
-  "$tool" compare --app examples/driving/steady.json --platform small --seconds 2 --time-limit-s 2 --out "$out/demo/steady" -- "$tree/apps/driving-steady"
-  [ -s "$out/demo/steady/timeline.html" ]
+  "$tool" compare --app examples/driving/rates.json --platform small --seconds 2 --time-limit-s 2 --out "$out/demo/rates" -- "$tree/apps/driving-rates"
+  [ -s "$out/demo/rates/timeline.html" ]
 }
 # As on a board, with a compiler as old as we promise and no header but ours.
 template() {

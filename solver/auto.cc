@@ -55,7 +55,7 @@ Clock::duration seconds(double s) {
 class Team {
  public:
   Team(const Problem& problem, const SolveOptions& options, const std::vector<Solution>& starts,
-       bool with_proof, SteadyTime began)
+       bool with_proof, TimePoint began)
       : problem_(problem),
         options_(options),
         starts_(starts),
@@ -63,7 +63,7 @@ class Team {
         with_proof_(with_proof),
         threads_(std::clamp(options.threads, 1, kMostThreads)),
         began_(began),
-        deadline_(options.time_limit_s >= kNoLimitS ? SteadyTime::max()
+        deadline_(options.time_limit_s >= kNoLimitS ? TimePoint::max()
                                                     : began + seconds(options.time_limit_s)) {
     for (std::size_t x = 0; x < problem.preemptive.size(); ++x) {
       some_preempt_ = some_preempt_ || problem.preemptive[x];
@@ -480,7 +480,7 @@ class Team {
   std::vector<Space> rounds_;
   const bool with_proof_;
   const int threads_;
-  const SteadyTime began_, deadline_;
+  const TimePoint began_, deadline_;
 
   Mutex mutex_;
   std::condition_variable_any changed_;
@@ -498,7 +498,7 @@ class Team {
 
 AutoResult solve_in_parallel(const Problem& problem, const SolveOptions& options,
                              const std::vector<Solution>& starts, bool with_proof,
-                             SteadyTime began) {
+                             TimePoint began) {
   return Team(problem, options, starts, with_proof, began).run();
 }
 

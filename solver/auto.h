@@ -26,6 +26,6 @@ struct AutoResult {
 /// best first, are reported as progress before anything else begins.
 [[nodiscard]] AutoResult solve_in_parallel(const Problem& problem, const SolveOptions& options,
                                            const std::vector<Solution>& starts, bool with_proof,
-                                           SteadyTime began);
+                                           TimePoint began);
 
 }  // namespace xauto::solver

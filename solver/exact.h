@@ -23,7 +23,7 @@ inline constexpr int kMostToProve = 400;
 inline constexpr std::int64_t kEvaluationsPerLp = 50;
 
 struct ProofControl {
-  SteadyTime deadline = SteadyTime::max();
+  TimePoint deadline = TimePoint::max();
   std::int64_t max_lps = 0;  ///< 0: no limit; with a limit the bound does not depend on speed
   const std::atomic<bool>* stop = nullptr;
   const std::atomic<bool>* stop_too = nullptr;
@@ -36,7 +36,7 @@ struct ProofControl {
   [[nodiscard]] bool stopped() const {
     return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
            (stop_too != nullptr && stop_too->load(std::memory_order_relaxed)) ||
-           (deadline != SteadyTime::max() && std::chrono::steady_clock::now() >= deadline);
+           (deadline != TimePoint::max() && std::chrono::steady_clock::now() >= deadline);
   }
 };
 

@@ -19,7 +19,7 @@ struct Surroundings;  // ordered.h
 
 /// When to end. `target`: an answer this good cannot be beaten (a lower bound, may rise meanwhile).
 struct StopWhen {
-  SteadyTime deadline = SteadyTime::max();
+  TimePoint deadline = TimePoint::max();
   std::int64_t max_evaluations = 0;  ///< 0: no limit
   const std::atomic<bool>* stop = nullptr;
   const std::atomic<bool>* stop_too = nullptr;  ///< a second source of stop, e.g. "proven optimal"
@@ -30,7 +30,7 @@ struct StopWhen {
   [[nodiscard]] bool stopped() const {
     return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
            (stop_too != nullptr && stop_too->load(std::memory_order_relaxed)) ||
-           (deadline != SteadyTime::max() && std::chrono::steady_clock::now() >= deadline);
+           (deadline != TimePoint::max() && std::chrono::steady_clock::now() >= deadline);
   }
 };
 

@@ -11,11 +11,11 @@
 
 #include "base/index.h"
 #include "solver/certify.h"
+#include "solver/keys/key_tables.h"
 #include "solver/least_loss.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
 #include "solver/solve.h"
-#include "solver/steady/key_tables.h"
 #include "solver/tables_run.h"
 
 namespace xauto::solver {
@@ -521,7 +521,7 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
   XAUTO_TRY(validate(scenarios, app, platform));
-  if (!app.one_at_a_time) return steady::solve_key_tables(app, platform, scenarios, options);
+  if (!app.one_at_a_time) return keys::solve_key_tables(app, platform, scenarios, options);
   XAUTO_TRY(may_have_priorities(app));
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
     if (scenarios.list[s].degraded && !time_for_a_release(app))

@@ -39,8 +39,8 @@ class TablesRun {
   [[nodiscard]] Until until_after(double seconds) const {
     const auto deadline =
         options_.max_evaluations > 0
-            ? SteadyTime::max()
-            : std::chrono::steady_clock::now() + std::chrono::duration_cast<SteadyTime::duration>(
+            ? TimePoint::max()
+            : std::chrono::steady_clock::now() + std::chrono::duration_cast<TimePoint::duration>(
                                                      std::chrono::duration<double>(seconds));
     return {deadline, options_.stop};
   }

@@ -10,28 +10,28 @@
 
 namespace xauto::solver {
 
-using SteadyTime = std::chrono::steady_clock::time_point;
+using TimePoint = std::chrono::steady_clock::time_point;
 
 inline constexpr double kNoLimitS = 1e6;  ///< seconds; from here on a time limit is none
 
 struct Until {
-  SteadyTime deadline = SteadyTime::max();
+  TimePoint deadline = TimePoint::max();
   const std::atomic<bool>* stop = nullptr;
 
   [[nodiscard]] bool over() const {
     return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
-           (deadline != SteadyTime::max() && std::chrono::steady_clock::now() >= deadline);
+           (deadline != TimePoint::max() && std::chrono::steady_clock::now() >= deadline);
   }
 };
 
 /// A part of the time that is left, so that others have theirs.
 [[nodiscard]] inline Until part_of(const Until& until, double part) {
   Until sooner = until;
-  if (until.deadline == SteadyTime::max()) return sooner;
-  const SteadyTime now = std::chrono::steady_clock::now();
+  if (until.deadline == TimePoint::max()) return sooner;
+  const TimePoint now = std::chrono::steady_clock::now();
   if (now < until.deadline)
     sooner.deadline =
-        now + std::chrono::duration_cast<SteadyTime::duration>(part * (until.deadline - now));
+        now + std::chrono::duration_cast<TimePoint::duration>(part * (until.deadline - now));
   return sooner;
 }
 

@@ -4,8 +4,8 @@
 #include <algorithm>
 
 #include "base/index.h"
-#include "solver/steady/check.h"
-#include "solver/steady/check_handover.h"
+#include "solver/keys/check.h"
+#include "solver/keys/check_handover.h"
 #include "solver/verify_world.h"
 
 namespace xauto::solver {
@@ -86,9 +86,9 @@ void verify_keys(const AppSpec& app, const Platform& platform, const Tables& tab
     const Scenario envelope = xauto::envelope(tables, t, app);
     const std::string name = "table '" + tables.tables[t].name + "': ";
     const Loss& loss = tables.tables[t].loss;
-    const auto report = steady::check(app_under(app, envelope, loss),
-                                      platform_with(platform_under(platform, envelope), loss.off),
-                                      keys_under(tables, t, app, platform, envelope));
+    const auto report = keys::check(app_under(app, envelope, loss),
+                                    platform_with(platform_under(platform, envelope), loss.off),
+                                    keys_under(tables, t, app, platform, envelope));
     if (report)
       all.shown.push_back(name +
                           "every job ends by its key and every chain within its worst case, " +
@@ -149,7 +149,7 @@ void verify_handovers(const AppSpec& app, const Platform& platform, const Tables
               to = keys_of_all(tables, at(claim.to), app, whole);
     from.app_hash = under[at(claim.from)].hash();
     to.app_hash = under[at(claim.to)].hash();
-    const auto proof = steady::derive_handover(
+    const auto proof = keys::derive_handover(
         {under[at(claim.from)], under[at(claim.to)], both, whole, from, to, tables.notice_us});
     if (!proof) {
       all.lies.push_back(name + proof.error().to_string());

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Do tables tell the truth? Every claim of tables.json again, with the checker's own code
 // (verify.h): each scenario's lower bound, the worst case of the table that serves it, and that of a
-// release during which one scenario takes the place of another. Of tables of keys (steady/check.h,
-// steady/check_handover.h): each table at its envelope, and the change from each table to each other.
+// release during which one scenario takes the place of another. Of tables of keys (keys/check.h,
+// keys/check_handover.h): each table at its envelope, and the change from each table to each other.
 #pragma once
 
 #include <string>

@@ -40,7 +40,7 @@ import time
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(SOURCE / "tests/integration"))
 APP = SOURCE / "examples/driving/app.json"
-STEADY = SOURCE / "examples/driving/steady.json"
+RATES = SOURCE / "examples/driving/rates.json"
 QUEUES = {"queue_depth": 256, "keep": 256, "defaults": {"overload": "queue:256"}}
 DEADLINE_PCT = 106  # of the worst case: XAuto and the emulator take 3 % of a release themselves
 STALL_NS = 1_000_000  # kEmulatorStallUs: such a job shows no other clock
@@ -69,8 +69,8 @@ class Case:
     def __init__(self, folder, options, part):
         keys, clocks = part.startswith("key-"), part in ("key-clocks", "key-drains")
         self.folder, self.options = pathlib.Path(folder), options
-        self.app = json.loads((STEADY if keys else APP).read_text())
-        self.program = "/driving-steady" if keys else "/driving"
+        self.app = json.loads((RATES if keys else APP).read_text())
+        self.program = "/driving-rates" if keys else "/driving"
         self.part, self.own_rates, self.own_clocks = part, keys, clocks
         if not clocks:
             for source in self.app.get("sources", []):
@@ -343,7 +343,7 @@ def key_switches(case, options):
 
 
 def shared_by_clocks(tables):
-    """XPUs of both of steady.json's clocks, in one table or in several."""
+    """XPUs of both of rates.json's clocks, in one table or in several."""
     users = {}
     for table in tables["tables"]:
         for xnode in table["xnodes"]:

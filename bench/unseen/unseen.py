@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Apps that nothing was tuned on, run on emulated XPUs: is any chain longer than its certified worst case?
 
-Apps of several rates, of several clocks, and of both with activations in flight (bench_steady, from a seed of their own).
+Apps of several rates, of several clocks, and of both with activations in flight (bench_keys, from a seed of their own).
 Each is solved and run twice: under version 1's fixed priorities, and under keys. XNodes take random
 times, the same in both runs (bench_standin). The certificate allows each XNode SLACK us more than what it draws, and each
 source JITTER us: that is what dispatch and the emulator's timers take here, as a WCET that was measured here would hold
@@ -151,7 +151,7 @@ def main():
         for first in range(options.first, options.first + 1000, 100):
             if len(names) >= options.apps:
                 break
-            subprocess.run([os.path.join(options.build, "bench/bench_steady"), "--first", str(first), "--only",
+            subprocess.run([os.path.join(options.build, "bench/bench_keys"), "--first", str(first), "--only",
                             ",".join(KINDS), "--write", folder], check=True)
             names = sorted((p.name[:-len(".app.json")] for p in pathlib.Path(folder).glob("*.app.json")),
                            key=lambda n: (int(n.split("-")[1]), n))

@@ -24,7 +24,7 @@ inline constexpr Stage kStages[] = {
     {"pr.predict", "PR", 2900, 0, 0},
 };
 
-/// Of driving-steady alone, and made up: what steers by all of it.
+/// Of driving-rates alone, and made up: what steers by all of it.
 inline constexpr Stage kControlStages[] = {{"ctl.plan", "CTL", 2000, 0, 0},
                                            {"ctl.act", "CTL", 300, 0, 0}};
 

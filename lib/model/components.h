@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Components and domains of an app: which XNodes release together, and which releases
-// come round again. docs/steady-state.md.
+// come round again. docs/keys.md.
 //
 // A tick is the longest time that every period is a whole number of: 1 / ticks_per_us microseconds.
 // In ticks all nominal releases are integers.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A change of tables of keys of which nothing is claimed drains: for a while nothing is released, so that the
-// next table's releases meet no job of the one before (docs/steady-state.md, "A change that drains").
+// next table's releases meet no job of the one before (docs/keys.md, "A change that drains").
 #pragma once
 
 #include <cstddef>

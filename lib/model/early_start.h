@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Early start: from when on a job may run that the plan holds, at the latest. Whoever runs a policy of keys lets a job
-// wait until then, or until the reason for its hold has gone: docs/steady-state.md, "Early start".
+// wait until then, or until the reason for its hold has gone: docs/keys.md, "Early start".
 #pragma once
 
 #include <cstdint>

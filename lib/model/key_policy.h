@@ -3,7 +3,7 @@
 //
 // A job's key is an absolute instant: the nominal release of its component's activation plus
 // `key_us`. On an XPU the smaller key is the more urgent. Whoever keeps to that ends each job by its
-// key (docs/steady-state.md).
+// key (docs/keys.md).
 #pragma once
 
 #include <cstdint>
@@ -38,7 +38,7 @@ struct ChainClaim {
   /// Bounds the reduced reaction time: from the nominal release of the source's message to the end
   /// of the first job of the chain's last XNode that knows it or a newer one.
   std::int64_t worst_case_us = 0;
-  /// Proven: of no KeyPolicy can a shorter worst case be certified by docs/steady-state.md. Where the
+  /// Proven: of no KeyPolicy can a shorter worst case be certified by docs/keys.md. Where the
   /// chain enters another clock, executions may stay below it.
   std::int64_t lower_bound_us = 0;
   bool optimal = false;  ///< both are equal

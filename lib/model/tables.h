@@ -53,7 +53,7 @@ struct Change {
 };
 
 /// Of tables of keys: a run goes from one table to another without a pause, and each release keeps
-/// the one that it has. docs/steady-state.md, theorem 8.
+/// the one that it has. docs/keys.md, theorem 8.
 struct Handover {
   int from = -1, to = -1;  ///< tables
   /// [chain] of every release that meets it, each job within the WCETs of both tables' scenarios;

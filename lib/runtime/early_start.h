@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Life of a job, between steps 3 and 4: its policy has it start at its planned start, at the latest, and it may start
-// sooner where the reason for that has gone. docs/steady-state.md, "Early start", has the rule and its proof.
+// sooner where the reason for that has gone. docs/keys.md, "Early start", has the rule and its proof.
 //
 // The execution thread of a job that waits sleeps here, before START: coordinators know nothing of it. Who ends a job
 // that others look at counts it, and looks whether anybody waits. If so, it asks the rule in his place, and wakes him

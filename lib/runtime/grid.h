@@ -5,7 +5,7 @@
 //   source s, release k:        start + offset_s + k * period_s
 //   component, activation k:    start + phi + k * period, phi the least offset of its sources
 //
-// `start` is the run's. docs/steady-state.md has the words.
+// `start` is the run's. docs/keys.md has the words.
 #pragma once
 
 #include <cstddef>

@@ -4,7 +4,7 @@
 //
 //   (1) n_k <= arrival k <= n_k + jitter         (2) |n_(k+1) - n_k - period| <= ppm * period
 //
-// (docs/steady-state.md, "Words"). Nobody has to know the sensor's own: any such instants will do.
+// (docs/keys.md, "Words"). Nobody has to know the sensor's own: any such instants will do.
 // So they are chosen here as messages come, and where none fit, what app.json states is broken.
 //
 // Sources of one clock keep their phases: they share a grid, base + offset + k * period. The first

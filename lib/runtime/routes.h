@@ -39,7 +39,7 @@ struct MetChange {
 // its worst case is about: from the nominal release k to the end of the first job that knows k or a
 // newer one. Each release counts, also those that a result has skipped. Where a chain leads through
 // samples, the first that comes is not counted, nor are those before it: a reader that starts for the
-// first time may have been late for it, and no worst case is about that (docs/steady-state.md). Which
+// first time may have been late for it, and no worst case is about that (docs/keys.md). Which
 // releases there were is told here as they happen: no period is asked, since a sensor may not keep it.
 //
 // In lockstep the next release comes when the last one has drained. A result of the newest release took

@@ -12,9 +12,9 @@
 
 #include <fmt/format.h>
 
+#include "story/job_tracks.h"
 #include "story/lanes.h"
 #include "story/perfetto.h"
-#include "story/steady_tracks.h"
 
 namespace xauto::story {
 namespace {

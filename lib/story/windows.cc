@@ -40,7 +40,7 @@ double step_us(double span_us) {
 class Picture {
  public:
   Picture(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
-          const solver::steady::CheckReport& report)
+          const solver::keys::CheckReport& report)
       : app_(app),
         platform_(platform),
         policy_(policy),
@@ -144,12 +144,12 @@ class Picture {
     const double period = us(home.period_ticks), phase = us(home.offset_ticks);
     const auto& windows = report_.windows[at(i)];
     double deepest = 0;
-    for (const solver::steady::JobWindow& w : windows) deepest = std::max(deepest, w.key_us);
-    // In the steady state there are releases before the first that is drawn.
+    for (const solver::keys::JobWindow& w : windows) deepest = std::max(deepest, w.key_us);
+    // There are releases before the first that is drawn.
     for (auto n = static_cast<std::int64_t>(std::floor((-phase - deepest) / period));; ++n) {
       const double release = phase + static_cast<double>(n) * period;
       if (release >= span) break;
-      const solver::steady::JobWindow& w = windows[entry(n, windows.size())];
+      const solver::keys::JobWindow& w = windows[entry(n, windows.size())];
       const bool tight =
           n >= 0 && std::any_of(report_.xpus.begin(), report_.xpus.end(), [&](const auto& proof) {
             return proof.xpu == xpu && proof.xnode == name && proof.activation == n;
@@ -190,7 +190,7 @@ class Picture {
   const AppSpec& app_;
   const Platform& platform_;
   const KeyPolicy& policy_;
-  const solver::steady::CheckReport& report_;
+  const solver::keys::CheckReport& report_;
   const Components found_;
   std::map<std::string, std::string> colour_;  ///< by module
   std::string out_, last_xpu_;
@@ -200,7 +200,7 @@ class Picture {
 }  // namespace
 
 std::string windows_svg(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
-                        const solver::steady::CheckReport& report) {
+                        const solver::keys::CheckReport& report) {
   return Picture(app, platform, policy, report).draw();
 }
 

@@ -8,7 +8,7 @@
 #include "model/app.h"
 #include "model/key_policy.h"
 #include "model/platform.h"
-#include "solver/steady/check.h"
+#include "solver/keys/check.h"
 
 namespace xauto::story {
 
@@ -16,7 +16,7 @@ namespace xauto::story {
 /// much as `kMostWindows` jobs. `report`: of this policy.
 [[nodiscard]] std::string windows_svg(const AppSpec& app, const Platform& platform,
                                       const KeyPolicy& policy,
-                                      const solver::steady::CheckReport& report);
+                                      const solver::keys::CheckReport& report);
 
 inline constexpr std::int64_t kMostWindows = 600;
 

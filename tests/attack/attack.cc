@@ -360,7 +360,7 @@ class Run {
     return true;
   }
 
-  /// The rule of docs/steady-state.md, by whoever knows all that is to come: nobody may do more.
+  /// The rule of docs/keys.md, by whoever knows all that is to come: nobody may do more.
   bool may_start_early(std::size_t i, const Job& job) const {
     const std::size_t m = at(w_.policy_.placements[i].xpu);
     const Xpu& xpu = w_.platform_.xpus[m];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Attacks a policy of keys: looks for an execution in which a job ends after its key, or a chain
-// takes longer than its claim. Simulates the rule of docs/steady-state.md with code of its own, and
+// takes longer than its claim. Simulates the rule of docs/keys.md with code of its own, and
 // climbs: execution times up to the WCETs, jitter, phases between clocks and their drift.
 //
 // What it finds is a counterexample. That it finds nothing proves nothing.

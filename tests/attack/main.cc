@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// attack_steady: random apps with policies of keys that the check just accepts, each attacked; the
+// attack_keys: random apps with policies of keys that the check just accepts, each attacked; the
 // same policies played. Then the solver's own policies; and those of a solver that is not told of
 // the jitter, say. Exit status 1 if a policy is broken, or what was not told is never found.
 #include <algorithm>
@@ -8,8 +8,8 @@
 #include <fmt/format.h>
 
 #include "cli/cli.h"
-#include "solver/steady/play.h"
-#include "solver/steady/solve.h"
+#include "solver/keys/play.h"
+#include "solver/keys/solve.h"
 
 #include "attack/attack.h"
 #include "attack/producer.h"
@@ -99,8 +99,8 @@ std::int64_t seconds_to_play(const AppSpec& app) {
 /// its worst case.
 Result<double> played(const Case& c, std::uint64_t seed, std::int64_t& jobs, std::string& bad) {
   XAUTO_ASSIGN(const auto report,
-               solver::steady::play(c.app, c.platform, c.policy,
-                                    {seconds_to_play(c.app), seed % 2 == 1, true, true, seed}));
+               solver::keys::play(c.app, c.platform, c.policy,
+                                  {seconds_to_play(c.app), seed % 2 == 1, true, true, seed}));
   jobs += report.jobs;
   bad = report.first_late;
   double fullest = 0;
@@ -127,12 +127,12 @@ Result<bool> run_solved(const Flags& flags) {
         fault.hide(app_told, platform_told);
         const bool hidden = !(app_told == c->app && platform_told == c->platform);
         if (&fault != kFaults && !hidden) continue;
-        solver::steady::Options options;
+        solver::keys::Options options;
         options.max_evaluations = 500;
         options.time_limit_s = 60;
         options.seed = seed;
-        XAUTO_ASSIGN(const auto answer, solver::steady::solve(app_told, platform_told, options));
-        if (answer.outcome != solver::steady::Outcome::kPolicy) continue;
+        XAUTO_ASSIGN(const auto answer, solver::keys::solve(app_told, platform_told, options));
+        if (answer.outcome != solver::keys::Outcome::kPolicy) continue;
         const Found found = attack(c->app, c->platform, answer.policy, {flags.jobs, seed});
         ++policies;
         jobs += found.jobs;
@@ -206,6 +206,6 @@ int main(int argc, char** argv) {
   if (const auto exit = program.parse(argc, argv)) return *exit;
   const auto status = xauto::attack::run(flags);
   if (status) return *status;
-  std::fprintf(stderr, "attack_steady: %s\n", status.error().to_string().c_str());
+  std::fprintf(stderr, "attack_keys: %s\n", status.error().to_string().c_str());
   return 2;
 }

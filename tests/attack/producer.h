@@ -14,14 +14,14 @@
 #include "base/index.h"
 #include "model/components.h"
 #include "model/key_policy.h"
+#include "solver/keys/check.h"
 #include "solver/random.h"
-#include "solver/steady/check.h"
 
 namespace xauto::attack {
 
 using solver::Random;
-using solver::steady::check;
-using solver::steady::CheckReport;
+using solver::keys::check;
+using solver::keys::CheckReport;
 
 struct Case {
   AppSpec app;

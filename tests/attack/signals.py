@@ -63,9 +63,9 @@ class Runs:
                                            for n, m, x in xnodes],
                                 "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]})
         source = pathlib.Path(__file__).resolve().parents[2]
-        self.steady = str(source / "examples/driving/steady.json")
+        self.rates = str(source / "examples/driving/rates.json")
         self.solve("app.json", "platform.json", "policy.json")
-        self.solve(self.steady, "small", "keys.json")
+        self.solve(self.rates, "small", "keys.json")
 
     def write(self, name, content):
         (self.folder / name).write_text(json.dumps(content))
@@ -87,8 +87,8 @@ class Runs:
             return kind, [self.xauto, "profile", "--platform", self.path("platform.json"), "--json", "--repetitions", "30", "--app-out",
                           self.path("profiled.json"), "--", str(self.bin / "testapp"), self.path("result"), "emulated", "1000"]
         if "keys" in kind:
-            app = ["--app", self.steady, "--policy", self.path("keys.json"), "--platform", "small", "--emulate"]
-            program = [str(self.bin / "driving-steady")]
+            app = ["--app", self.rates, "--policy", self.path("keys.json"), "--platform", "small", "--emulate"]
+            program = [str(self.bin / "driving-rates")]
         else:
             app = ["--app", self.path("app.json"), "--policy", self.path("policy.json"), "--platform", self.path("platform.json"), "--emulate"]
             program = [str(self.bin / "testapp"), self.path("result"), "period", "20000", "emulated", "1500"]

@@ -210,19 +210,19 @@ def test_what_the_tools_write_is_valid():
                 "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t.json", out="t.json")
         written("simulation", "simulate", "--app", APP, "--platform", "small", "--policy", "p.json", "--out", "s.json",
                 out="s.json")
-        steady = SOURCE / "examples/driving/steady.json"
-        written("policy", "solve", "--app", steady, "--platform", "small", "--max-evaluations", 3000, "--out", "p2.json",
+        rates = SOURCE / "examples/driving/rates.json"
+        written("policy", "solve", "--app", rates, "--platform", "small", "--max-evaluations", 3000, "--out", "p2.json",
                 out="p2.json")
-        scenarios["app"] = "driving-steady"
+        scenarios["app"] = "driving-rates"
         (folder / "scenarios-2.json").write_text(json.dumps(scenarios))
-        written("tables", "solve", "--app", steady, "--platform", "small", "--scenarios", "scenarios-2.json", "--tables", 1,
+        written("tables", "solve", "--app", rates, "--platform", "small", "--scenarios", "scenarios-2.json", "--tables", 1,
                 "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t2.json", out="t2.json")
-        written("simulation", "simulate", "--app", steady, "--platform", "small", "--policy", "p2.json", "--seconds", 2,
+        written("simulation", "simulate", "--app", rates, "--platform", "small", "--policy", "p2.json", "--seconds", 2,
                 "--out", "s2.json", out="s2.json")
         for format_, verb in (("check", "check"), ("explanation", "explain")):
-            printed = xauto(verb, "--app", steady, "--platform", "small", "--policy", "p2.json", "--json", cwd=folder).stdout
+            printed = xauto(verb, "--app", rates, "--platform", "small", "--policy", "p2.json", "--json", cwd=folder).stdout
             check(format_, json.loads(printed), verb)
-        crowded = json.loads(steady.read_text())
+        crowded = json.loads(rates.read_text())
         for source in crowded["sources"]:
             source.pop("period_us", None)
             source["rate_hz"] = 200

@@ -13,7 +13,7 @@ import pftrace
 from common import APP, BIN, DRIVING, XAUTO, wait_for, xauto
 
 
-STEADY = str(pathlib.Path(APP).with_name("steady.json"))
+RATES = str(pathlib.Path(APP).with_name("rates.json"))
 GOLDEN = pathlib.Path(__file__).resolve().parents[1] / "golden"
 
 
@@ -43,12 +43,12 @@ class Flow(unittest.TestCase):
             pathlib.Path(self.path("levels.json")).write_text(text)
             return ["--app", APP, "--platform", self.path("levels.json")]
 
-        steady = ["--app", STEADY, "--platform", self.path("levels.json"), "--policy", self.path("keys.json")]
+        rates = ["--app", RATES, "--platform", self.path("levels.json"), "--policy", self.path("keys.json")]
         for levels in 3, 16:
             platform(levels)
-            self.good("solve", *steady[:4], "--max-evaluations", 500, "--threads", 1, "--time-limit-s", 60, "--out", steady[5])
-            self.good("check", *steady)
-            self.good("simulate", *steady, "--seconds", 1)
+            self.good("solve", *rates[:4], "--max-evaluations", 500, "--threads", 1, "--time-limit-s", 60, "--out", rates[5])
+            self.good("check", *rates)
+            self.good("simulate", *rates, "--seconds", 1)
         self.good("solve", *platform(3), "--method", "heft", "--out", self.path("p.json"))
         self.good("check", *platform(3), "--policy", self.path("p.json"))
         self.good("solve", "--app", APP, "--platform", "core-ultra", "--max-evaluations", 2000, "--threads", 1,
@@ -108,7 +108,7 @@ class Flow(unittest.TestCase):
                       (["--method", "heft"], ["--objective", "sum"])):
             refused = xauto("solve", "--app", APP, "--platform", "small", *wrong[0], *wrong[1])
             self.assertEqual(refused.returncode, 2, refused.stdout)
-        refused = xauto("solve", "--app", STEADY, *asked[2:], "--tables", 1)
+        refused = xauto("solve", "--app", RATES, *asked[2:], "--tables", 1)
         self.assertEqual(refused.returncode, 2, refused.stdout)
 
     def test_driving_case_gives_the_published_latencies(self):

@@ -100,8 +100,8 @@ class Gate(unittest.TestCase):
         self.assertEqual((done.returncode, run["fail_on"]), (1, {"claim": 1}), done.stderr)
         self.assertIn("--fail-on claim: 1 ", done.stderr)
 
-    def steady(self):
-        app, policy = SOURCE / "examples/driving/steady.json", f"{self.folder}/s.json"
+    def rates(self):
+        app, policy = SOURCE / "examples/driving/rates.json", f"{self.folder}/s.json"
         made = xauto("solve", "--app", app, "--platform", "small", "--time-limit-s", "1", "--out", policy)
         self.assertEqual(made.returncode, 0, made.stderr)
         return app, policy
@@ -109,7 +109,7 @@ class Gate(unittest.TestCase):
     def test_deadlines_of_chains(self):
         """Each chain has its own, and the app has none."""
         app, policy, script = (f"{self.folder}/{name}.json" for name in ("app", "p", "script"))
-        spec = json.loads((SOURCE / "examples/driving/steady.json").read_text())
+        spec = json.loads((SOURCE / "examples/driving/rates.json").read_text())
 
         def solved():
             pathlib.Path(app).write_text(json.dumps(spec))
@@ -124,7 +124,7 @@ class Gate(unittest.TestCase):
             steps = [{"at_us": 0, "speed_pct": {"gpu": of_clock, "cpu": of_clock, "dla": of_clock}}]
             pathlib.Path(script).write_text(json.dumps({"schema": "xauto.emulation", "version": 1, "steps": steps}))
             done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--seconds", "1",
-                         "--emulate-script", script, "--fail-on", "miss", "--json", "--", BIN / "driving-steady")
+                         "--emulate-script", script, "--fail-on", "miss", "--json", "--", BIN / "driving-rates")
             run = json.loads(done.stdout)["runs"][0]
             missed = {c["name"]: c["deadline_misses"] for c in run["chains"] if c["deadline_misses"] > 0}
             self.assertEqual((done.returncode, run["fail_on"]), (status, {"miss": sum(missed.values())}), done.stderr)
@@ -135,7 +135,7 @@ class Gate(unittest.TestCase):
             del chain["deadline_us"]
         solved()
         done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--seconds", "1",
-                     "--fail-on", "miss", "--", BIN / "driving-steady")
+                     "--fail-on", "miss", "--", BIN / "driving-rates")
         self.assertEqual(done.returncode, 2, done.stderr)
         self.assertIn("nothing has a deadline", done.stderr)
 
@@ -152,9 +152,9 @@ class Gate(unittest.TestCase):
 
     def test_a_process_that_is_gone_for_good(self):
         """With several rates lost activations make no status 1; who loses all from now on does."""
-        app, policy = self.steady()
+        app, policy = self.rates()
         tool = subprocess.Popen([XAUTO, "run", "--app", app, "--platform", "small", "--policy", policy, "--emulate",
-                                 "--isolate", "--json", "--", BIN / "driving-steady"],
+                                 "--isolate", "--json", "--", BIN / "driving-rates"],
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.addCleanup(tool.kill)
         wait_for("results", lambda: min(activations(tool).values(), default=0) > 2, tool)
@@ -170,7 +170,7 @@ class Gate(unittest.TestCase):
     def test_a_policy_of_another_platform(self):
         """A GPU that does not preempt: blocking counts, and the policy does not know it."""
         platform = f"{self.folder}/p.json"
-        app, policy = self.steady()
+        app, policy = self.rates()
         hardware = json.loads((SOURCE / "tests/golden/platform.json").read_text())
         with open(policy) as f:
             xpus = {x["xpu"] for x in json.load(f)["xnodes"]}
@@ -179,14 +179,14 @@ class Gate(unittest.TestCase):
         with open(platform, "w") as f:
             json.dump(hardware, f)
         done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
-                     "--", BIN / "driving-steady")
+                     "--", BIN / "driving-rates")
         self.assertEqual((done.returncode, done.stdout), (2, ""))
         self.assertIn("was made for platform 'small', and this run is on 'another'", done.stderr)
         hardware["name"] = "small"  # it says it is the same, and is not
         with open(platform, "w") as f:
             json.dump(hardware, f)
         done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
-                     "--json", "--", BIN / "driving-steady")
+                     "--json", "--", BIN / "driving-rates")
         self.assertIn("`xauto check` refuses it here", done.stderr)
         self.assertIn("`xauto check` refuses the policy",
                       "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))

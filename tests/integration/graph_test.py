@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 
 from common import SOURCE, xauto
 
-APP = SOURCE / "examples/driving/steady.json"
+APP = SOURCE / "examples/driving/rates.json"
 SVG = "{http://www.w3.org/2000/svg}"
 
 

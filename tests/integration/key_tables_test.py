@@ -14,7 +14,7 @@ import unittest
 import pftrace
 from common import BIN, QUEUES, XAUTO, wait_for, xauto
 
-STEADY = pathlib.Path(__file__).parents[2] / "examples" / "driving" / "steady.json"
+RATES = pathlib.Path(__file__).parents[2] / "examples" / "driving" / "rates.json"
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}},
              {"name": "CPUs slow", "wcet_scale_pct": {"cpu": 130}}]
 
@@ -25,7 +25,7 @@ class KeyTables(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(folder.cleanup)
         cls.folder = pathlib.Path(folder.name)
-        cls.app = json.loads(STEADY.read_text())
+        cls.app = json.loads(RATES.read_text())
         del cls.app["clocks"]
         for source in cls.app["sources"]:  # all by one clock, so that changes are certified
             source.pop("clock", None)
@@ -64,7 +64,7 @@ class KeyTables(unittest.TestCase):
             tool = subprocess.Popen([XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy",
                                      policy, "--activations", "0", "--deployment", "deployment.json", "--json", "--trace-out",
                                      "t.pftrace", *flags, "--",
-                                     str(BIN / "driving-steady")], cwd=self.folder, stdout=out, stderr=err)
+                                     str(BIN / "driving-rates")], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
         run = ("--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
         top = lambda: json.loads(xauto("top", *run, "--interval-ms", 50, "--once").stdout or "{}")

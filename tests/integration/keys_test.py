@@ -13,8 +13,8 @@ from fractions import Fraction
 import pftrace
 from common import BIN, QUEUES, SOURCE, xauto
 
-APP = SOURCE / "examples/driving/steady.json"
-PROGRAM = str(BIN / "driving-steady")
+APP = SOURCE / "examples/driving/rates.json"
+PROGRAM = str(BIN / "driving-rates")
 PATIENCE_NS = 5_000_000  # a machine may stand still between a decision and what follows it
 
 
@@ -40,7 +40,7 @@ class Keys(unittest.TestCase):
         cls.policy = json.loads((cls.folder / "policy.json").read_text())
         # A machine that stands still loses nothing.
         (cls.folder / "queues.json").write_text(json.dumps(
-            {"schema": "xauto.deployment", "version": 1, "app": "driving-steady", **QUEUES}))
+            {"schema": "xauto.deployment", "version": 1, "app": "driving-rates", **QUEUES}))
 
     def run_app(self, *flags, app=APP, status=0, program=PROGRAM):
         named = () if "--policy" in flags else ("--policy", self.folder / "policy.json")

@@ -32,7 +32,7 @@ except ImportError:  # scripts/setup.sh check installs it
 PEER = BIN / "diagnostics_peer"
 PAGE = SOURCE / "docs/monitoring.md"
 GRAFANA = SOURCE / "packaging/grafana/xauto.json"
-STEADY = SOURCE / "examples/driving/steady.json"
+RATES = SOURCE / "examples/driving/rates.json"
 
 
 class Monitored(unittest.TestCase):
@@ -213,13 +213,13 @@ class Prometheus(Monitored):
         return path
 
     def test_chains_of_a_policy_of_keys(self):
-        done = xauto("solve", "--app", STEADY, "--platform", "small", "--max-evaluations", 3000, "--threads", 1, "--time-limit-s", 60,
+        done = xauto("solve", "--app", RATES, "--platform", "small", "--max-evaluations", 3000, "--threads", 1, "--time-limit-s", 60,
                      "--out", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stderr)
         claims = {c["name"]: c for c in json.loads((self.folder / "policy.json").read_text())["chains"]}
-        (self.folder / "queues.json").write_text(json.dumps({"schema": "xauto.deployment", "version": 1, "app": "driving-steady", **QUEUES}))
-        tool = self.run_tool("--app", STEADY, "--platform", "small", "--emulate", "--policy", self.folder / "policy.json", "--deployment",
-                             self.folder / "queues.json", program=[BIN / "driving-steady"])
+        (self.folder / "queues.json").write_text(json.dumps({"schema": "xauto.deployment", "version": 1, "app": "driving-rates", **QUEUES}))
+        tool = self.run_tool("--app", RATES, "--platform", "small", "--emulate", "--policy", self.folder / "policy.json", "--deployment",
+                             self.folder / "queues.json", program=[BIN / "driving-rates"])
 
         def chains_seen():
             seen = self.metrics(tool)
@@ -229,7 +229,7 @@ class Prometheus(Monitored):
         statuses = {s["name"]: s for s in json.loads(self.once(tool, "--json"))["status"]}
         for name, claim in claims.items():
             self.assertIsNotNone(value_of(seen, "xauto_chain_over_worst_case_total", chain=name))
-            values = statuses[f"xauto/driving-steady: chain {name}"]["values"]
+            values = statuses[f"xauto/driving-rates: chain {name}"]["values"]
             if values["claim"] == "stands":
                 self.assertEqual(float(values["worst_case_ms"]), claim["worst_case_us"] / 1000)
             else:

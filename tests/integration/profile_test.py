@@ -54,7 +54,7 @@ class Case(unittest.TestCase):
 
 class WhatTheProgramAsks(Case):
     def test_deadlines_and_clocks_stand_in_the_app(self):
-        self.profile("small", "--emulate", app=(str(BIN / "driving-steady"),))
+        self.profile("small", "--emulate", app=(str(BIN / "driving-rates"),))
         app = self.read("app.json")
         asked = {c["name"]: c["deadline_us"] for c in app["chains"] if "deadline_us" in c}
         self.assertEqual(asked, {"front -> ctl.act": 100000, "rear -> ctl.act": 100000, "lidar -> ctl.act": 150000,
@@ -67,7 +67,7 @@ class WhatTheProgramAsks(Case):
             if chain["name"] == "tick -> ctl.act":
                 chain["deadline_us"] = 8000
         (self.folder / "app.json").write_text(json.dumps(app))
-        again = self.profile("small", "--emulate", app=(str(BIN / "driving-steady"),))
+        again = self.profile("small", "--emulate", app=(str(BIN / "driving-rates"),))
         self.assertIn("deadline of chain 'tick -> ctl.act': 8000 us (the program says 10000)", again.stdout + again.stderr)
         self.assertEqual([c["deadline_us"] for c in self.read("app.json")["chains"] if c["name"] == "tick -> ctl.act"],
                          [8000])
@@ -383,13 +383,13 @@ class Conditions(Case):
         self.assertEqual(len(lines), 1, said)
         for word in (self.GPU, "306000000", "1300500000", "jetson_clocks", "performance"):
             self.assertIn(word, lines[0])
-        steady = self.read("orin.json")
-        for reading in steady["conditions"]["readings"]:
+        calm = self.read("orin.json")
+        for reading in calm["conditions"]["readings"]:
             if "min" in reading:
                 reading["min"] = reading["last"] = reading["max"]
-        (self.folder / "steady.json").write_text(json.dumps(steady))
-        warned, when = self.merge("orin.json", "steady.json")
-        self.assertEqual(when, {"orin": None, "steady": None})
+        (self.folder / "calm.json").write_text(json.dumps(calm))
+        warned, when = self.merge("orin.json", "calm.json")
+        self.assertEqual(when, {"orin": None, "calm": None})
         self.assertIn(f"{self.GPU} changed meanwhile", warned)
 
     def test_scenarios_are_told_apart_by_what_differed(self):

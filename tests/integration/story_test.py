@@ -14,7 +14,7 @@ from fractions import Fraction
 import pftrace
 from common import BIN, QUEUES, SOURCE, XAUTO, activations, wait_for, xauto
 
-APP = SOURCE / "examples/driving/steady.json"
+APP = SOURCE / "examples/driving/rates.json"
 
 
 class Told:
@@ -86,7 +86,7 @@ class Story(unittest.TestCase):
         assert done.returncode == 0, done.stdout + done.stderr
         cls.policy = json.loads((cls.folder / "policy.json").read_text())
         (cls.folder / "queues.json").write_text(json.dumps(
-            {"schema": "xauto.deployment", "version": 1, "app": "driving-steady", **QUEUES}))
+            {"schema": "xauto.deployment", "version": 1, "app": "driving-rates", **QUEUES}))
         cls.file = cls.folder / "t.pftrace"
         done = cls.run_app("--trace-out", cls.file)
         cls.report = json.loads(done.stdout)["runs"][0]
@@ -95,7 +95,7 @@ class Story(unittest.TestCase):
     @classmethod
     def run_app(cls, *flags):
         done = xauto("run", "--app", APP, "--platform", "small", "--emulate", "--json", "--policy", cls.folder / "policy.json",
-                     "--deployment", cls.folder / "queues.json", "--seconds", 3, *flags, "--", BIN / "driving-steady")
+                     "--deployment", cls.folder / "queues.json", "--seconds", 3, *flags, "--", BIN / "driving-rates")
         assert done.returncode == 0, done.stderr
         return done
 
@@ -230,7 +230,7 @@ class Story(unittest.TestCase):
 
     def test_policies_are_compared_chain_by_chain(self):
         done = xauto("compare", "--app", APP, "--platform", "small", "--emulate", "--deployment", self.folder / "queues.json",
-                     "--seconds", 1.5, "--time-limit-s", 1, "--out", self.folder / "compared", "--", BIN / "driving-steady")
+                     "--seconds", 1.5, "--time-limit-s", 1, "--out", self.folder / "compared", "--", BIN / "driving-rates")
         self.assertEqual(done.returncode, 0, done.stderr)
         runs = json.loads((self.folder / "compared/report.json").read_text())["runs"]
         self.assertEqual([r["policy"] for r in runs], ["ros2", "fixed", "xauto"])
@@ -264,7 +264,7 @@ class Story(unittest.TestCase):
         """`top` and `status` of a run that goes on, as JSON and as text; then its report."""
         tool = subprocess.Popen([XAUTO, "run", "--app", str(APP), "--platform", "small", "--emulate", "--policy",
                                  str(self.folder / "policy.json"), "--deployment", str(self.folder / "queues.json"), "--activations",
-                                 "0", "--out", str(self.folder / "live.json"), *flags, "--", str(BIN / "driving-steady")],
+                                 "0", "--out", str(self.folder / "live.json"), *flags, "--", str(BIN / "driving-rates")],
                                 stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             wait_for("results", lambda: activations(tool).get("CTL", 0) > 20, tool)

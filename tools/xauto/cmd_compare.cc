@@ -12,11 +12,11 @@
 
 #include "base/log.h"
 #include "model/json.h"
+#include "solver/keys/check.h"
+#include "solver/keys/one_release.h"
+#include "solver/keys/solve.h"
 #include "solver/search.h"
 #include "solver/solve.h"
-#include "solver/steady/check.h"
-#include "solver/steady/one_release.h"
-#include "solver/steady/solve.h"
 
 #include "xauto/command.h"
 #include "xauto/outputs.h"
@@ -86,23 +86,21 @@ Result<KeyPolicy> solved(const CompareFlags& flags, const std::string& id) {
     solver::SolveOptions plan;
     plan.method = id;
     plan.time_limit_s = flags.time_limit_s;
-    XAUTO_ASSIGN(solver::steady::Baseline made,
-                 solver::steady::baseline(flags.app, flags.spec, plan));
+    XAUTO_ASSIGN(solver::keys::Baseline made, solver::keys::baseline(flags.app, flags.spec, plan));
     return std::move(made.policy);
   }
-  solver::steady::Options options;
+  solver::keys::Options options;
   options.time_limit_s = flags.time_limit_s;
   options.threads = 2;
-  options.aim = solver::steady::usual_aim(flags.app);
-  XAUTO_ASSIGN(solver::steady::Answer answer,
-               solver::steady::solve(flags.app, flags.spec, options));
-  if (answer.outcome != solver::steady::Outcome::kPolicy)
+  options.aim = solver::keys::usual_aim(flags.app);
+  XAUTO_ASSIGN(solver::keys::Answer answer, solver::keys::solve(flags.app, flags.spec, options));
+  if (answer.outcome != solver::keys::Outcome::kPolicy)
     return fail(ErrorCode::kInfeasible,
-                answer.outcome == solver::steady::Outcome::kUnsustainable
+                answer.outcome == solver::keys::Outcome::kUnsustainable
                     ? "no policy keeps up: " + answer.overload.text
                     : "no policy was found in this time",
                 flags.app.name + " on " + flags.spec.name, "`xauto solve` says more");
-  XAUTO_TRY(solver::steady::check(flags.app, flags.spec, answer.policy));
+  XAUTO_TRY(solver::keys::check(flags.app, flags.spec, answer.policy));
   return std::move(answer.policy);
 }
 

@@ -8,7 +8,7 @@
 
 #include "base/log.h"
 #include "model/json.h"
-#include "solver/steady/check.h"
+#include "solver/keys/check.h"
 #include "solver/verify_tables.h"
 
 #include "xauto/command.h"
@@ -51,7 +51,7 @@ Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
 /// The first statement that `xauto check` refuses; empty: none.
 std::string refused_by_check(const OneRunFlags& flags, const PolicyRun& run) {
   if (run.keys) {
-    const auto checked = solver::steady::check(flags.app, flags.spec, *run.keys);
+    const auto checked = solver::keys::check(flags.app, flags.spec, *run.keys);
     // What takes too long to derive, or makes no sense to check, is not refused by it.
     return checked || checked.error().code != ErrorCode::kInfeasible ? ""
                                                                      : checked.error().to_string();

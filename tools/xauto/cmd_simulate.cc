@@ -20,7 +20,7 @@ namespace {
 
 struct SimulateFlags {
   std::string app, platform = "small", policy, out;
-  solver::steady::PlayOptions play;
+  solver::keys::PlayOptions play;
 };
 
 Result<int> simulate(const SimulateFlags& flags, const Options& options) {

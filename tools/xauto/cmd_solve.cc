@@ -7,7 +7,7 @@
 #include <memory>
 
 #include "model/json.h"
-#include "solver/steady/solve.h"
+#include "solver/keys/solve.h"
 
 #include "xauto/command.h"
 #include "xauto/objectives_file.h"
@@ -38,7 +38,7 @@ struct SolveFlags {
   std::vector<std::string> assume;
   int tables = 0;
   double regret = 0;
-  solver::steady::Options options;
+  solver::keys::Options options;
 };
 
 /// Several policies: --scenarios.
@@ -71,7 +71,7 @@ Result<int> solve(const SolveFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   SolveFlags read = flags;
-  solver::steady::Options& asked = read.options;
+  solver::keys::Options& asked = read.options;
   XAUTO_ASSIGN(asked.wishes, load_objectives(flags.app));
   XAUTO_TRY(add_to_objectives(flags.wishes, asked.wishes));
   if (!flags.scenarios.empty()) return solve_tables(read, app, platform, options);
@@ -87,9 +87,9 @@ Result<int> solve(const SolveFlags& flags, const Options& options) {
     XAUTO_ASSIGN(hint, load_key_hint(flags.hint, app, platform));
     asked.hint = &hint;
   }
-  asked.aim = solver::steady::usual_aim(app);
-  if (flags.objective == "largest") asked.aim = solver::steady::Aim::kLargest;
-  if (flags.objective == "sum") asked.aim = solver::steady::Aim::kSum;
+  asked.aim = solver::keys::usual_aim(app);
+  if (flags.objective == "largest") asked.aim = solver::keys::Aim::kLargest;
+  if (flags.objective == "sum") asked.aim = solver::keys::Aim::kSum;
   asked.stop = &interrupted;
   stop_on_interrupt();
   return solve_policy(app, platform, asked, flags.assume, flags.out, options);

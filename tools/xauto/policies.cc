@@ -13,9 +13,9 @@
 #include "model/components.h"
 #include "model/json.h"
 #include "model/json_value.h"
-#include "solver/steady/check.h"
-#include "solver/steady/one_release.h"
-#include "solver/steady/what_if.h"
+#include "solver/keys/check.h"
+#include "solver/keys/one_release.h"
+#include "solver/keys/what_if.h"
 #include "story/windows.h"
 
 #include "xauto/outputs.h"
@@ -25,7 +25,7 @@
 namespace xauto::cli {
 namespace {
 
-namespace steady = solver::steady;
+namespace keys = solver::keys;
 
 constexpr std::size_t kMostPrices = 12;  ///< of modules in one line
 /// Where nothing is certified, so much of the time limit more: for the best policy, and for what would help.
@@ -53,11 +53,11 @@ std::string shape(const AppSpec& app) {
   return text;
 }
 
-std::string proof_table(const KeyPolicy& policy, const steady::CheckReport& report) {
+std::string proof_table(const KeyPolicy& policy, const keys::CheckReport& report) {
   std::string out = fmt::format("  {:<10}{:>7}{:>9}   {}\n", "XPU", "XNodes", "load",
                                 "why every job ends by its key");
   for (std::size_t x = 0; x < report.xpus.size(); ++x) {
-    const steady::XpuProof& proof = report.xpus[x];
+    const keys::XpuProof& proof = report.xpus[x];
     const auto count =
         std::count_if(policy.placements.begin(), policy.placements.end(),
                       [&](const KeyPlacement& p) { return p.xpu == static_cast<int>(x); });
@@ -114,21 +114,21 @@ bool is_optimal(double value, double bound) {
 }
 
 /// What was minimised, in words.
-std::string aim_of(const AppSpec& app, const steady::Answer& answer, steady::Aim aim) {
+std::string aim_of(const AppSpec& app, const keys::Answer& answer, keys::Aim aim) {
   const bool deadlines = app.has_deadlines();
   const std::string first = deadlines ? "no deadline is missed; then " : "";
   const char* of = deadlines ? "worst case / deadline" : "worst case";
-  if (aim == steady::Aim::kLargest)
+  if (aim == keys::Aim::kLargest)
     return fmt::format("{}the least of the largest {}, and of their sum", first, of);
   const std::string sum = fmt::format("{}the least weighted sum of {}", first, of);
-  if (aim == steady::Aim::kSum) return sum;
+  if (aim == keys::Aim::kSum) return sum;
   return fmt::format("{},\n    the largest of them within 5 % of the least found ({})", sum,
                      deadlines ? fmt::format("{:.1f} %", 100 * answer.least_largest)
                                : fmt::format("{:.3f} ms", answer.least_largest / 1000));
 }
 
 /// How far the policy is from the least of any, all chains together.
-std::string of_all_chains(const AppSpec& app, const steady::Answer& answer, steady::Aim aim) {
+std::string of_all_chains(const AppSpec& app, const keys::Answer& answer, keys::Aim aim) {
   if (app.chains.empty()) return "";
   const auto& [largest, sum] = answer.totals;
   const auto& [least, least_sum] = answer.bounds;
@@ -149,19 +149,19 @@ std::string of_all_chains(const AppSpec& app, const steady::Answer& answer, stea
                    least_sum / 1000, optimal(sum, least_sum));
 }
 
-const char* name_of(steady::Aim aim) {
+const char* name_of(keys::Aim aim) {
   switch (aim) {
-    case steady::Aim::kLargest:
+    case keys::Aim::kLargest:
       return "largest";
-    case steady::Aim::kSum:
+    case keys::Aim::kSum:
       return "sum";
-    case steady::Aim::kMix:
+    case keys::Aim::kMix:
       break;
   }
   return "mix";
 }
 
-Json objective_of(const AppSpec& app, const steady::Answer& answer, steady::Aim aim) {
+Json objective_of(const AppSpec& app, const keys::Answer& answer, keys::Aim aim) {
   const auto of = [](double value, double bound) {
     return Json{{"value", value}, {"lower_bound", bound}, {"optimal", is_optimal(value, bound)}};
   };
@@ -169,13 +169,13 @@ Json objective_of(const AppSpec& app, const steady::Answer& answer, steady::Aim 
                {"of", app.has_deadlines() ? "worst case / deadline" : "worst case"},
                {"largest", of(answer.totals.largest, answer.bounds.largest)},
                {"sum", of(answer.totals.sum, answer.bounds.sum)}};
-  if (aim == steady::Aim::kMix) told["least_largest_found"] = answer.least_largest;
+  if (aim == keys::Aim::kMix) told["least_largest_found"] = answer.least_largest;
   return told;
 }
 
-Json proofs(const steady::CheckReport& report) {
+Json proofs(const keys::CheckReport& report) {
   Json list = Json::array();
-  for (const steady::XpuProof& proof : report.xpus) {
+  for (const keys::XpuProof& proof : report.xpus) {
     Json j = {
         {"xpu", proof.xpu}, {"proof", proof.kind}, {"load", proof.load}, {"jobs", proof.jobs}};
     if (!proof.xnode.empty())
@@ -223,21 +223,21 @@ Result<std::vector<std::string>> broken_wishes(const AppSpec& app, const Platfor
   return broken;
 }
 
-const char* words(steady::Outcome outcome) {
+const char* words(keys::Outcome outcome) {
   switch (outcome) {
-    case steady::Outcome::kPolicy:
+    case keys::Outcome::kPolicy:
       return "policy";
-    case steady::Outcome::kUnsustainable:
+    case keys::Outcome::kUnsustainable:
       return "unsustainable";
-    case steady::Outcome::kUnknown:
+    case keys::Outcome::kUnknown:
       break;
   }
   return "unknown";
 }
 
-Json cases_of(const AppSpec& app, const std::vector<steady::WhatIf>& ifs) {
+Json cases_of(const AppSpec& app, const std::vector<keys::WhatIf>& ifs) {
   Json list = Json::array();
-  for (const steady::WhatIf& what : ifs) {
+  for (const keys::WhatIf& what : ifs) {
     Json j = {{"change", what.change}, {"outcome", words(what.outcome)}};
     if (!what.overload.empty()) j["proof"] = what.overload;
     for (std::size_t c = 0; c < what.worst_case_us.size(); ++c)
@@ -250,13 +250,13 @@ Json cases_of(const AppSpec& app, const std::vector<steady::WhatIf>& ifs) {
 
 /// A line per case: the chains that change, and by how much. Each was searched for `limit_s`.
 std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
-                          const std::vector<steady::WhatIf>& ifs, double limit_s) {
+                          const std::vector<keys::WhatIf>& ifs, double limit_s) {
   std::string out;
   if (!ifs.empty()) out += "\n  What if ... (by the solver alone)\n";
-  for (const steady::WhatIf& what : ifs) {
+  for (const keys::WhatIf& what : ifs) {
     out += fmt::format("  {:<34}", what.change);
-    if (what.outcome != steady::Outcome::kPolicy) {
-      out += what.outcome == steady::Outcome::kUnsustainable
+    if (what.outcome != keys::Outcome::kPolicy) {
+      out += what.outcome == keys::Outcome::kUnsustainable
                  ? "no policy keeps up: " + what.overload + "\n"
                  : fmt::format("unknown: no policy found in {:.2f} s\n", limit_s);
       continue;
@@ -281,7 +281,7 @@ std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
 }
 
 /// What proves that no policy keeps up.
-void tell_proof(const AppSpec& app, const steady::OverloadProof& proof, Json& told,
+void tell_proof(const AppSpec& app, const keys::OverloadProof& proof, Json& told,
                 std::string& text) {
   Json causes = Json::array();
   std::string list;
@@ -316,7 +316,7 @@ void tell_proof(const AppSpec& app, const steady::OverloadProof& proof, Json& to
 }
 
 /// The best policy all the same: who is where, and how long chains took when it was played.
-void tell_policy(const AppSpec& app, const Platform& platform, const steady::Uncertified& found,
+void tell_policy(const AppSpec& app, const Platform& platform, const keys::Uncertified& found,
                  Json& told, std::string& text) {
   Json xpus = Json::array(), chains = Json::array();
   text +=
@@ -338,7 +338,7 @@ void tell_policy(const AppSpec& app, const Platform& platform, const steady::Unc
     text += fmt::format("\n  {:<24}{:>14}{:>14}{:>14}{:>14}\n", "chain, played", "median", "99 %",
                         "longest seen", "deadline");
     for (std::size_t c = 0; c < app.chains.size(); ++c) {
-      const steady::PlayedChain& chain = found.played->chains[c];
+      const keys::PlayedChain& chain = found.played->chains[c];
       const auto& deadline = app.chains[c].deadline_us;
       const auto seen = [&](double us) { return chain.releases > 0 ? ms_of(us) : "-"; };
       text += fmt::format(
@@ -356,7 +356,7 @@ void tell_policy(const AppSpec& app, const Platform& platform, const steady::Unc
                       {"chains", std::move(chains)}};
     text += fmt::format(
         "  {} s at usual times (typical_us; where none is known {} % of the WCET){}\n",
-        found.seconds, steady::kUsualPct, found.played->backlog ? ": the backlog grew" : "");
+        found.seconds, keys::kUsualPct, found.played->backlog ? ": the backlog grew" : "");
   }
   text +=
       "\n  It is the best that was found, and nothing is claimed of it: no chain has a worst case, "
@@ -365,7 +365,7 @@ void tell_policy(const AppSpec& app, const Platform& platform, const steady::Unc
   told["policy"] = Json::parse(to_json(found.policy, app, platform)).value_or(Json());
 }
 
-void tell_remedies(const steady::Uncertified& found, const std::vector<Remedy>& list, Json& told,
+void tell_remedies(const keys::Uncertified& found, const std::vector<Remedy>& list, Json& told,
                    std::string& text) {
   text += list.empty() ? "\n  No single change was found with which a policy is certified.\n"
                        : "\n  With one of these a policy was certified:\n";
@@ -385,19 +385,19 @@ void tell_remedies(const steady::Uncertified& found, const std::vector<Remedy>& 
   told["remedies"] = std::move(remedies);
 }
 
-double assumed_s(const steady::Options& asked) {
+double assumed_s(const keys::Options& asked) {
   return std::min(2.0, asked.time_limit_s);
 }
 
 /// The answers to --assume.
-Result<std::vector<steady::WhatIf>> ask_assumed(const AppSpec& app, const Platform& platform,
-                                                const KeyPolicy& policy,
-                                                const std::vector<std::string>& assume,
-                                                steady::Options asked) {
+Result<std::vector<keys::WhatIf>> ask_assumed(const AppSpec& app, const Platform& platform,
+                                              const KeyPolicy& policy,
+                                              const std::vector<std::string>& assume,
+                                              keys::Options asked) {
   asked.time_limit_s = assumed_s(asked);
-  std::vector<steady::WhatIf> ifs;
+  std::vector<keys::WhatIf> ifs;
   for (const std::string& text : assume) {
-    auto what = steady::assume(app, platform, policy, text, asked);
+    auto what = keys::assume(app, platform, policy, text, asked);
     if (!what) {
       what.error().where = "--assume " + what.error().where;
       return tl::unexpected<Error>(std::move(what).error());
@@ -409,17 +409,17 @@ Result<std::vector<steady::WhatIf>> ask_assumed(const AppSpec& app, const Platfo
 
 /// Nothing is certified: the best policy all the same, without claims, and what would help.
 Result<int> solve_uncertified(const AppSpec& app, const Platform& platform,
-                              const steady::Answer& answer, const steady::Options& asked,
+                              const keys::Answer& answer, const keys::Options& asked,
                               const std::vector<std::string>& assume, const std::string& out,
                               Outputs& outputs, const Options& options) {
-  steady::Options half = asked;
+  keys::Options half = asked;
   half.time_limit_s = kForUncertified * asked.time_limit_s;
-  XAUTO_ASSIGN(const steady::Uncertified found, steady::least_late(app, platform, half));
+  XAUTO_ASSIGN(const keys::Uncertified found, keys::least_late(app, platform, half));
   half.time_limit_s = kForRemedies * asked.time_limit_s;
   const std::vector<Remedy> help = remedies(app, platform, found, half);
-  XAUTO_ASSIGN(const std::vector<steady::WhatIf> ifs,
+  XAUTO_ASSIGN(const std::vector<keys::WhatIf> ifs,
                ask_assumed(app, platform, found.policy, assume, asked));
-  const bool proven = answer.outcome == steady::Outcome::kUnsustainable;
+  const bool proven = answer.outcome == keys::Outcome::kUnsustainable;
   Json told = {{"schema", "xauto.uncertified"},
                {"version", 1},
                {"app", app.name},
@@ -447,7 +447,7 @@ Result<int> solve_uncertified(const AppSpec& app, const Platform& platform,
 
 /// By the check's paths: whoever a chain waits for in a component that it goes through.
 std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
-                              const steady::CheckReport& report) {
+                              const keys::CheckReport& report) {
   const auto parts = find_components(app);
   if (!parts) return {};
   std::vector<int> xpu;
@@ -456,7 +456,7 @@ std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, cons
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     component.emplace(app.xnodes[i].name, parts->of[i]);
   std::vector<Way> ways;
-  for (const steady::ChainProof& chain : report.chains) {
+  for (const keys::ChainProof& chain : report.chains) {
     Way way{{}, chain.derived_us, chain.late()};
     for (std::size_t k = 2; k < chain.path.size(); k += 2)
       way.xnodes.insert(way.xnodes.end(),
@@ -469,7 +469,7 @@ std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, cons
 
 /// Who is where, beside where a hint has them.
 Json moved(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
-           const steady::Answer& answer) {
+           const keys::Answer& answer) {
   Json list = Json::array();
   for (const int i : answer.moved)
     list.push_back({{"xnode", app.xnodes[at(i)].name},
@@ -479,7 +479,7 @@ Json moved(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
 }
 
 std::string moved_line(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
-                       const steady::Answer& answer) {
+                       const keys::Answer& answer) {
   constexpr std::size_t kNamed = 5;
   const auto known = std::count_if(hint.placements.begin(), hint.placements.end(),
                                    [](const KeyPlacement& placed) { return placed.xpu >= 0; });
@@ -494,7 +494,7 @@ std::string moved_line(const AppSpec& app, const Platform& platform, const KeyPo
   return out + (answer.moved.size() > kNamed ? ", ...\n" : "\n");
 }
 
-void show(SearchLine& line, const steady::Progress& progress) {
+void show(SearchLine& line, const keys::Progress& progress) {
   if (!line.due(progress.elapsed_s)) return;
   if (progress.release_us > 0) {
     const auto best = static_cast<double>(progress.release_us);
@@ -518,9 +518,8 @@ void show(SearchLine& line, const steady::Progress& progress) {
 namespace {
 
 /// HEFT and the like: priorities.
-Result<int> solve_baseline(const AppSpec& app, const Platform& platform,
-                           const steady::Options& asked, const std::string& out,
-                           const Options& options) {
+Result<int> solve_baseline(const AppSpec& app, const Platform& platform, const keys::Options& asked,
+                           const std::string& out, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
   solver::SolveOptions solving;
@@ -528,7 +527,7 @@ Result<int> solve_baseline(const AppSpec& app, const Platform& platform,
   solving.time_limit_s = asked.time_limit_s;
   solving.stop = asked.stop;
   solving.objectives = asked.wishes;
-  XAUTO_ASSIGN(const steady::Baseline made, steady::baseline(app, platform, solving));
+  XAUTO_ASSIGN(const keys::Baseline made, keys::baseline(app, platform, solving));
   if (options.json) {
     Json root = Json::parse(to_json(made.policy, app, platform)).value_or(Json());
     root["release_us"] = made.release_us;
@@ -549,7 +548,7 @@ Result<int> solve_baseline(const AppSpec& app, const Platform& platform,
 
 }  // namespace
 
-Result<int> solve_policy(const AppSpec& app, const Platform& platform, const steady::Options& asked,
+Result<int> solve_policy(const AppSpec& app, const Platform& platform, const keys::Options& asked,
                          const std::vector<std::string>& assume, const std::string& out,
                          const Options& options) {
   if (asked.method == "heft" || asked.method == "local")
@@ -557,23 +556,23 @@ Result<int> solve_policy(const AppSpec& app, const Platform& platform, const ste
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
   SearchLine line;
-  steady::Options solving = asked;
-  solving.on_progress = [&](const steady::Progress& progress) { show(line, progress); };
-  auto solved = steady::solve(app, platform, solving);
+  keys::Options solving = asked;
+  solving.on_progress = [&](const keys::Progress& progress) { show(line, progress); };
+  auto solved = keys::solve(app, platform, solving);
   line.end();
   if (!solved) return tl::unexpected<Error>(std::move(solved).error());
-  const steady::Answer& answer = *solved;
-  if (answer.outcome != steady::Outcome::kPolicy)
+  const keys::Answer& answer = *solved;
+  if (answer.outcome != keys::Outcome::kPolicy)
     return solve_uncertified(app, platform, answer, asked, assume, out, outputs, options);
   // No worst case is told that code of its own does not derive again.
-  const auto checked = steady::check(app, platform, answer.policy);
+  const auto checked = keys::check(app, platform, answer.policy);
   if (!checked && checked.error().code == ErrorCode::kUnavailable)  // nobody could check it
     return tl::unexpected<Error>(checked.error());
   if (!checked)
     return fail(ErrorCode::kInternal,
                 "the solver's answer does not pass the check: " + checked.error().to_string(),
                 app.name + " on " + platform.name, "report it with app and platform");
-  XAUTO_ASSIGN(const std::vector<steady::WhatIf> ifs,
+  XAUTO_ASSIGN(const std::vector<keys::WhatIf> ifs,
                ask_assumed(app, platform, answer.policy, assume, asked));
   const bool late = misses_a_deadline(answer.policy, app);
   const bool never = app.has_deadlines() && answer.bounds.largest > 1;
@@ -698,12 +697,12 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--windows", picture));
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
-  XAUTO_ASSIGN(const steady::CheckReport report, steady::check(app, platform, policy));
+  XAUTO_ASSIGN(const keys::CheckReport report, keys::check(app, platform, policy));
   // The chain that is worst off: in parts of its deadline, or else the longest.
   std::size_t worst = 0;
   double most = -1;
   for (std::size_t c = 0; c < report.chains.size(); ++c) {
-    const steady::ChainProof& chain = report.chains[c];
+    const keys::ChainProof& chain = report.chains[c];
     const double part = static_cast<double>(chain.derived_us) /
                         (chain.deadline_us ? static_cast<double>(*chain.deadline_us) : 1e15);
     if (part > most) worst = c;
@@ -716,13 +715,13 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
   const std::vector<int> on_path = ways.empty() ? std::vector<int>() : ways[worst];
   // Beside them, what stands in the tightest window of an XPU.
   std::vector<int> to_move = on_path;
-  for (const steady::XpuProof& proof : report.xpus)
+  for (const keys::XpuProof& proof : report.xpus)
     if (const int i = app.find(proof.xnode);
         i >= 0 && std::find(to_move.begin(), to_move.end(), i) == to_move.end())
       to_move.push_back(i);
-  steady::Options asked;
+  keys::Options asked;
   asked.time_limit_s = moves_s;
-  XAUTO_ASSIGN(const steady::Moves moved, steady::moves(app, platform, policy, to_move, asked));
+  XAUTO_ASSIGN(const keys::Moves moved, keys::moves(app, platform, policy, to_move, asked));
   const auto names = [&](std::size_t c) { return names_on_path(app, ways[c], c); };
   if (options.json) {
     Json root = {{"schema", "xauto.explanation"}, {"version", 2}, {"proofs", proofs(report)}};
@@ -757,7 +756,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
 Result<int> check_places(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
                          const std::string& path, const std::vector<std::string>& broken,
                          const Options& options) {
-  const Status stated = steady::check_places(app, platform, policy);
+  const Status stated = keys::check_places(app, platform, policy);
   if (!stated && stated.error().code != ErrorCode::kInfeasible)
     return tl::unexpected<Error>(stated.error());
   const int status = stated && broken.empty() ? kDone : kAnswerIsNo;
@@ -788,7 +787,7 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
   if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
-  const auto report = steady::check(app, platform, policy);
+  const auto report = keys::check(app, platform, policy);
   if (!report && report.error().code != ErrorCode::kInfeasible)
     return tl::unexpected<Error>(report.error());
   Json root = {{"schema", "xauto.check"}, {"version", 2}, {"truthful", report.has_value()}};
@@ -803,7 +802,7 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
     return kAnswerIsNo;
   }
   std::vector<std::string> missed = broken;
-  for (const steady::ChainProof& chain : report->chains)
+  for (const keys::ChainProof& chain : report->chains)
     if (chain.late())
       missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
                                    ms(*chain.deadline_us)));
@@ -817,7 +816,7 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
     root["lies"] = Json::array();
     root["proofs"] = proofs(*report);
     for (std::size_t c = 0; c < report->chains.size(); ++c) {
-      const steady::ChainProof& chain = report->chains[c];
+      const keys::ChainProof& chain = report->chains[c];
       Json j = {{"name", chain.name},
                 {"worst_case_us", chain.derived_us},
                 {"claimed_us", chain.claimed_us},
@@ -838,7 +837,7 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
   std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
                            "the worst path");
   for (std::size_t c = 0; c < report->chains.size(); ++c) {
-    const steady::ChainProof& chain = report->chains[c];
+    const keys::ChainProof& chain = report->chains[c];
     std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
                              ms(chain.claimed_us), fmt::join(paths[c], " > "),
                              chain.late() ? "   MISSED" : "");
@@ -853,17 +852,17 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
 }
 
 Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const std::string& path,
-                            const steady::PlayOptions& asked, const std::string& out,
+                            const keys::PlayOptions& asked, const std::string& out,
                             const Options& options) {
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
-  XAUTO_ASSIGN(const steady::PlayReport played, steady::play(app, platform, policy, asked));
+  XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, asked));
   Json xnodes = Json::array(), chains = Json::array();
   std::string table = fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", "XNode", "XPU", "jobs",
                                   "late", "suspended", "nearest its key");
   for (std::size_t i = 0; i < played.xnodes.size(); ++i) {
-    const steady::PlayedXNode& node = played.xnodes[i];
+    const keys::PlayedXNode& node = played.xnodes[i];
     const std::string& xpu = platform.xpus[static_cast<std::size_t>(policy.placements[i].xpu)].id;
     const bool near = node.jobs > 0 && !policy.by_priority();  // a priority is no time
     xnodes.push_back({{"name", app.xnodes[i].name},
@@ -881,7 +880,7 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
   const auto worst = [](const std::optional<std::int64_t>& claimed_us) {
     return claimed_us ? exact_ms(*claimed_us) : "-";
   };
-  for (const steady::PlayedChain& chain : played.chains) {
+  for (const keys::PlayedChain& chain : played.chains) {
     exceeded = exceeded || chain.exceeded();
     Json entry = {{"name", chain.name},
                   {"median_us", chain.median_us},

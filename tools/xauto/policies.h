@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "solver/steady/play.h"
-#include "solver/steady/solve.h"
+#include "solver/keys/play.h"
+#include "solver/keys/solve.h"
 
 #include "xauto/command.h"
 
@@ -14,9 +14,9 @@ namespace xauto::cli {
 
 /// `asked.wishes` are filled in; the policy goes to `out`, if there is one. Status 1: a
 /// deadline is missed, or nothing is certified: then the policy is the best that was found, without claims.
-/// `assume`: changes whose effect is told (solver/steady/what_if.h).
+/// `assume`: changes whose effect is told (solver/keys/what_if.h).
 [[nodiscard]] Result<int> solve_policy(const AppSpec& app, const Platform& platform,
-                                       const solver::steady::Options& asked,
+                                       const solver::keys::Options& asked,
                                        const std::vector<std::string>& assume,
                                        const std::string& out, const Options& options);
 /// The tightest windows, the worst path of each chain, and what moving its XNodes would bring, as far
@@ -30,7 +30,7 @@ namespace xauto::cli {
                                        const Options& options);
 [[nodiscard]] Result<int> simulate_policy(const AppSpec& app, const Platform& platform,
                                           const std::string& policy,
-                                          const solver::steady::PlayOptions& asked,
+                                          const solver::keys::PlayOptions& asked,
                                           const std::string& out, const Options& options);
 
 }  // namespace xauto::cli

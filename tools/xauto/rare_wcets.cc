@@ -7,7 +7,7 @@
 #include <fmt/format.h>
 
 #include "base/index.h"
-#include "solver/steady/sustain.h"
+#include "solver/keys/sustain.h"
 
 #include "xauto/command.h"
 
@@ -42,8 +42,8 @@ std::vector<RareWcet> rare_in_overload(const AppSpec& app, const Platform& platf
   });
   AppSpec usual = app;
   for (const RareWcet& r : rare) usual.xnodes[at(r.xnode)].wcet_us[r.type] = r.typical_us;
-  const auto problem = solver::steady::Problem::create(usual, platform, wishes);
-  if (!problem || solver::steady::prove_overload(*problem)) rare.clear();
+  const auto problem = solver::keys::Problem::create(usual, platform, wishes);
+  if (!problem || solver::keys::prove_overload(*problem)) rare.clear();
   return rare;
 }
 

@@ -11,8 +11,8 @@
 
 #include "base/index.h"
 #include "model/components.h"
-#include "solver/steady/sustain.h"
-#include "solver/steady/what_if.h"
+#include "solver/keys/sustain.h"
+#include "solver/keys/what_if.h"
 
 #include "xauto/command.h"
 #include "xauto/rare_wcets.h"
@@ -20,7 +20,7 @@
 namespace xauto::cli {
 namespace {
 
-namespace steady = solver::steady;
+namespace keys = solver::keys;
 
 constexpr double kPartOfTime = 0.3, kLeastS = 0.02;  ///< one search
 constexpr std::int64_t kPartOfBudget = 8;
@@ -31,13 +31,13 @@ constexpr std::pair<int, int> kFactors[] = {{10, 9}, {5, 4}, {4, 3}, {3, 2}, {5,
 
 class Remedies {
  public:
-  Remedies(const AppSpec& app, const Platform& platform, const steady::Options& options)
+  Remedies(const AppSpec& app, const Platform& platform, const keys::Options& options)
       : app_(app),
         platform_(platform),
         options_(options),
         began_(std::chrono::steady_clock::now()) {}
 
-  std::vector<Remedy> find(const steady::Uncertified& found) {
+  std::vector<Remedy> find(const keys::Uncertified& found) {
     less_margin(found.in_time_pct, false);
     if (found.certified_pct != found.in_time_pct) less_margin(found.certified_pct, true);
     outliers();
@@ -54,8 +54,8 @@ class Remedies {
     return left_s() <= 0 || (options_.stop != nullptr && options_.stop->load());
   }
   [[nodiscard]] bool is_proven(const AppSpec& app) const {
-    const auto p = steady::Problem::create(app, platform_, options_.wishes);
-    return !p || steady::prove_overload(*p);
+    const auto p = keys::Problem::create(app, platform_, options_.wishes);
+    return !p || keys::prove_overload(*p);
   }
 
   void less_margin(const std::optional<std::int64_t>& pct, bool late) {
@@ -70,14 +70,14 @@ class Remedies {
   /// True: it is certified, and told.
   bool helps(const AppSpec& app, std::string change, Json what) {
     if (over() || is_proven(app)) return false;
-    steady::Options asked = options_;
+    keys::Options asked = options_;
     asked.time_limit_s = std::max(kLeastS, std::min(left_s(), kPartOfTime * options_.time_limit_s));
     if (options_.max_evaluations > 0) {
       asked.max_evaluations = std::max<std::int64_t>(1, options_.max_evaluations / kPartOfBudget);
       asked.time_limit_s = std::max(kLeastS, left_s());
     }
-    const auto answer = steady::certifies(app, platform_, asked, true);
-    if (!answer || answer->outcome != steady::Outcome::kPolicy) return false;
+    const auto answer = keys::certifies(app, platform_, asked, true);
+    if (!answer || answer->outcome != keys::Outcome::kPolicy) return false;
     found_.push_back({std::move(change), std::move(what), answer->late});
     return true;
   }
@@ -156,12 +156,12 @@ class Remedies {
     const auto [by, of] = kFactors[factor];
     Period period = app_.sources[at(source)].period;
     const std::int64_t num = period.num * by, den = period.den * of, common = std::gcd(num, den);
-    return steady::with_period(app_, source, {num / common, den / common});
+    return keys::with_period(app_, source, {num / common, den / common});
   }
 
   const AppSpec& app_;
   const Platform& platform_;
-  const steady::Options& options_;
+  const keys::Options& options_;
   const std::chrono::steady_clock::time_point began_;
   std::vector<Remedy> found_;
 };
@@ -169,7 +169,7 @@ class Remedies {
 }  // namespace
 
 std::vector<Remedy> remedies(const AppSpec& app, const Platform& platform,
-                             const steady::Uncertified& found, const steady::Options& options) {
+                             const keys::Uncertified& found, const keys::Options& options) {
   return Remedies(app, platform, options).find(found);
 }
 

@@ -9,7 +9,7 @@
 #include "model/app.h"
 #include "model/json_value.h"
 #include "model/platform.h"
-#include "solver/steady/uncertified.h"
+#include "solver/keys/uncertified.h"
 
 namespace xauto::cli {
 
@@ -22,7 +22,7 @@ struct Remedy {
 /// Less margin, as `found` says; a WCET above twice what is usual (rare_wcets.h) as it usually is, or all of them; one
 /// source slower, by the least of some factors that helps. `options.time_limit_s` is for all of them.
 [[nodiscard]] std::vector<Remedy> remedies(const AppSpec& app, const Platform& platform,
-                                           const solver::steady::Uncertified& found,
-                                           const solver::steady::Options& options);
+                                           const solver::keys::Uncertified& found,
+                                           const solver::keys::Options& options);
 
 }  // namespace xauto::cli

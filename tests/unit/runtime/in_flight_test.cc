@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Several activations of one module at once, without threads: the host is the test. What is checked
-// is what the theory of windows asks of the runtime (docs/steady-state.md): activation n enters when
+// is what the theory of windows asks of the runtime (docs/keys.md): activation n enters when
 // n - N has left, each XNode takes activations in order, results leave in order.
 #include <algorithm>
 #include <map>

@@ -302,7 +302,7 @@ TEST(Routes, InLockstepAnAppOfOneRateHasAges) {
   EXPECT_EQ(r.age_us.exact(), Times(2, 18));
 }
 
-/// docs/steady-state.md, "Chains": release k comes through a sample with the first activation n of the
+/// docs/keys.md, "Chains": release k comes through a sample with the first activation n of the
 /// reader that begins after its result is there, which may be less than k. At the beginning it is not there.
 TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {
   auto routes = log_samples({{"through", 0, 2, 250}, {"inside", 0, 1, 250}});

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // By keys: from which microsecond on a table counts, and whether what asked for it was noticed in time.
-// By docs/steady-state.md, theorem 8: S, what is released before S keeps its table, and S <= t + n.
+// By docs/keys.md, theorem 8: S, what is released before S keeps its table, and S <= t + n.
 #include "runtime/table_switch.h"
 
 #include <gtest/gtest.h>

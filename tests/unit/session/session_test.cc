@@ -10,7 +10,7 @@
 namespace xauto::runtime {
 namespace {
 
-Session steady() {
+Session at_rest() {
   Session session;
   session.app.name = "two";
   session.app.clocks = {{"main", 0}, {"other", 50}};
@@ -24,7 +24,7 @@ Session steady() {
 }
 
 TEST(Session, PrioritiesTravelAsPriorities) {
-  Session session = steady();
+  Session session = at_rest();
   KeyPolicy policy{"two", session.app.hash(), "one", "test", {{0, {}}, {0, {}}}};
   policy.certified = false;
   policy.placements[0].priority = 2;
@@ -42,7 +42,7 @@ TEST(Session, PrioritiesTravelAsPriorities) {
 }
 
 TEST(Session, KeysTravelAsKeys) {
-  Session session = steady();
+  Session session = at_rest();
   session.take_policy(KeyPolicy{"two",
                                 session.app.hash(),
                                 "one",
@@ -79,7 +79,7 @@ TEST(RunReport, WhatWasNotSuspendedTravels) {
 }
 
 Session full() {
-  Session session = steady();
+  Session session = at_rest();
   session.mode = Mode::kProfile;
   session.scheduling = Scheduling::kTimeshare;
   session.cpu_sched = CpuSched::kExt;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What changes cost, and that tables are chosen by that, too.
-#include "solver/steady/changes.h"
+#include "solver/keys/changes.h"
 
 #include <vector>
 
@@ -8,10 +8,10 @@
 
 #include "base/index.h"
 #include "model/json.h"
-#include "solver/steady/key_tables.h"
+#include "solver/keys/key_tables.h"
 #include "solver/verify_tables.h"
 
-namespace xauto::solver::steady {
+namespace xauto::solver::keys {
 namespace {
 
 /// Chains of 10 ms, and one without a deadline.
@@ -71,7 +71,7 @@ TEST(ChangeCost, OfAChainThatOneTableLacksNothingIsAsked) {
 
 /// The driving case at three rates, nominal and with a slower GPU.
 TEST(Changes, AmongEqualTablesThoseWithCheapChangesAreTaken) {
-  const auto app = load_app(XAUTO_SOURCE_DIR "/examples/driving/steady.json");
+  const auto app = load_app(XAUTO_SOURCE_DIR "/examples/driving/rates.json");
   ASSERT_TRUE(app) << app.error().to_string();
   const Platform platform = *Platform::builtin("small");
   const Scenarios list{app->name,
@@ -121,4 +121,4 @@ TEST(Changes, ATableThatIsHardlyBetterIsSpared) {
 }
 
 }  // namespace
-}  // namespace xauto::solver::steady
+}  // namespace xauto::solver::keys

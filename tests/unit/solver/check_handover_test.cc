@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cases of theorem 8 (docs/steady-state.md) by hand. Times are in us.
-#include "solver/steady/check_handover.h"
+// Cases of theorem 8 (docs/keys.md) by hand. Times are in us.
+#include "solver/keys/check_handover.h"
 
 #include <utility>
 
 #include <gtest/gtest.h>
 
 #include "base/index.h"
-#include "solver/steady/check.h"
+#include "solver/keys/check.h"
 
-namespace xauto::solver::steady {
+namespace xauto::solver::keys {
 namespace {
 
 /// An app, and two tables for it, which begin as the same.
@@ -38,7 +38,7 @@ Handover one_stage(std::int64_t wcet, std::int64_t key) {
 }
 
 /// What keys promise as long as nothing changes.
-CheckReport steady_of(Handover& h) {
+CheckReport settled_of(Handover& h) {
   h.policy.app_hash = h.app.hash();
   h.policy.chains.clear();
   for (const ChainSpec& c : h.app.chains) {
@@ -52,8 +52,8 @@ CheckReport steady_of(Handover& h) {
 
 Result<HandoverProof> derived(Handover& p, Handover& q, std::int64_t notice_us = 0,
                               std::int64_t most_jobs = 1'000'000) {
-  steady_of(p);
-  steady_of(q);
+  settled_of(p);
+  settled_of(q);
   AppSpec both = p.app;
   for (std::size_t i = 0; i < both.xnodes.size(); ++i)
     for (auto& [type, wcet] : both.xnodes[i].wcet_us)
@@ -253,10 +253,10 @@ TEST(CheckHandover, WhatMakesNoSense) {
   q = p;
   AppSpec both = p.app;
   both.xnodes[0].wcet_us = {{"cpu", 1000}, {"gpu", 1000}};
-  steady_of(p);
-  steady_of(q);
+  settled_of(p);
+  settled_of(q);
   EXPECT_FALSE(derive_handover({p.app, q.app, both, p.platform, p.policy, q.policy, 0}));
 }
 
 }  // namespace
-}  // namespace xauto::solver::steady
+}  // namespace xauto::solver::keys

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Plays a change of tables straight from the text of docs/steady-state.md (theorem 8), event by
-// event over all jobs, and measures what chains and jobs take. Shares nothing with solver/steady.
+// Plays a change of tables straight from the text of docs/keys.md (theorem 8), event by
+// event over all jobs, and measures what chains and jobs take. Shares nothing with solver/keys.
 //
 // Times are integers of 1 / scale() us ("ticks"). Each clock begins at an instant of its own, and runs
 // faster or slower than it says by at most its ppm: by one rate up to a bend, and by another one after it.
@@ -21,7 +21,7 @@
 #include "model/platform.h"
 #include "solver/random.h"
 
-namespace xauto::solver::steady {
+namespace xauto::solver::keys {
 
 /// One app under three sets of WCETs, and its two tables.
 struct NaiveTables {
@@ -744,4 +744,4 @@ class HandoverClimb {
   HandoverFound found_;
 };
 
-}  // namespace xauto::solver::steady
+}  // namespace xauto::solver::keys

@@ -6,10 +6,10 @@
 
 #include "model/periodic.h"
 
-#include "steady_naive.h"
-#include "steady_random.h"
+#include "keys_naive.h"
+#include "keys_random.h"
 
-namespace xauto::solver::steady {
+namespace xauto::solver::keys {
 namespace {
 
 /// Two tables of one app. Times are in us; the WCETs of `from` are those of `to` as well, until a
@@ -190,15 +190,15 @@ TEST(HandoverNaive, AReaderOfTheNextTableReadsOnTheOtherXpu) {
   EXPECT_EQ(seen(0), 11'000);
 }
 
-/// Random apps: with one table, and nothing that grows, it is the rule that steady_naive.h plays.
-TEST(HandoverNaive, WithoutAChangeItIsTheSteadyState) {
+/// Random apps: with one table, and nothing that grows, it is the rule that keys_naive.h plays.
+TEST(HandoverNaive, WithoutAChangeItIsTheTableItself) {
   int plays = 0;
   for (std::uint64_t a = 0; a < 40; ++a) {
     solver::test::Dice dice(4'000'037 + a);
-    SteadyShape shape;
+    RatedShape shape;
     shape.fractions = a % 4 == 0;
-    const AppSpec app = random_steady_app(dice, shape);
-    const Platform platform = random_steady_platform(dice);
+    const AppSpec app = random_rated_app(dice, shape);
+    const Platform platform = random_rated_platform(dice);
     // No certificate is asked: any keys give an execution, while jobs may be late.
     KeyPolicy policy;
     for (const XNodeSpec& x : app.xnodes) {
@@ -216,8 +216,8 @@ TEST(HandoverNaive, WithoutAChangeItIsTheSteadyState) {
     Disturbance how;
     how.worst_times = true;
     how.drift = false;
-    NaiveRun steady(calm, platform, policy, 12, how);
-    steady.run();
+    NaiveRun unchanged(calm, platform, policy, 12, how);
+    unchanged.run();
     const HandoverWorld world({calm, calm, calm, platform, policy, policy});
     std::int64_t until = 0;
     for (const SourceSpec& s : calm.sources)
@@ -227,10 +227,10 @@ TEST(HandoverNaive, WithoutAChangeItIsTheSteadyState) {
       HandoverChoice choice;
       choice.change = choice.grows = change;
       const HandoverRun run(world, until, choice);
-      EXPECT_EQ(run.completed(), steady.completed()) << "app " << a;
+      EXPECT_EQ(run.completed(), unchanged.completed()) << "app " << a;
       EXPECT_EQ(run.passed(), -1);
       for (std::size_t k = 0; k < calm.chains.size(); ++k)
-        EXPECT_EQ(run.seen(k) / world.scale, steady.seen(k)) << "app " << a << " chain " << k;
+        EXPECT_EQ(run.seen(k) / world.scale, unchanged.seen(k)) << "app " << a << " chain " << k;
       ++plays;
     }
   }
@@ -260,4 +260,4 @@ TEST(HandoverNaive, TheClimbFindsTheWorstChange) {
 }
 
 }  // namespace
-}  // namespace xauto::solver::steady
+}  // namespace xauto::solver::keys

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a change of tables may cost: the solver's bound against the checker's, and both against plays
 // that share no code with them (handover_naive.h).
-#include "solver/steady/handover.h"
+#include "solver/keys/handover.h"
 
 #include <optional>
 #include <set>
@@ -16,14 +16,14 @@
 #include "model/drain.h"
 #include "model/periodic.h"
 #include "model/tables.h"
-#include "solver/steady/certificate.h"
-#include "solver/steady/check_handover.h"
-#include "solver/steady/solve.h"
+#include "solver/keys/certificate.h"
+#include "solver/keys/check_handover.h"
+#include "solver/keys/solve.h"
 
 #include "handover_naive.h"
-#include "steady_random.h"
+#include "keys_random.h"
 
-namespace xauto::solver::steady {
+namespace xauto::solver::keys {
 namespace {
 
 constexpr std::int64_t kTinyNotice = 2;
@@ -60,18 +60,18 @@ enum class Clocks : std::uint8_t {
 std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Clocks::kOne,
                                         int ppm = 0) {
   solver::test::Dice dice(seed);
-  SteadyShape shape;
+  RatedShape shape;
   shape.clocks = clocks == Clocks::kOne ? 1 : 2;
   shape.ppm = ppm;
   shape.max_components = 3;
   shape.least_period = 12;
   TwoPolicies two;
-  two.platform = random_steady_platform(dice);
+  two.platform = random_rated_platform(dice);
   if (seed % 3 == 0)  // what blocks shows where most XPUs do not preempt
     for (Xpu& xpu : two.platform.xpus) xpu.preemptive = false;
   if (seed % 6 == 2)  // or have few levels
     for (Xpu& xpu : two.platform.xpus) xpu.levels = xpu.preemptive ? 2 : 0;
-  two.from_app = random_steady_app(dice, shape);
+  two.from_app = random_rated_app(dice, shape);
   const std::int64_t factor = ppm > 0 ? 1000 : 1;
   stretch(two.from_app, two.platform, factor);
   two.notice_us *= factor;
@@ -180,7 +180,7 @@ std::vector<std::optional<std::int64_t>> own_worst_cases(const TwoPolicies& two)
   return own;
 }
 
-TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore) {
+TEST(KeysHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore) {
   int bounded = 0, broken = 0, chains = 0, slower = 0;
   for (std::uint64_t seed = 1; seed <= 40; ++seed) {
     const auto two = two_policies(seed);
@@ -241,12 +241,12 @@ void attack_clocks(Clocks clocks, int ppm, std::uint64_t first, int least_bounde
   EXPECT_GE(broken, 2);
 }
 
-TEST(SteadyHandover, OnAClockWithATolerance) {
+TEST(KeysHandover, OnAClockWithATolerance) {
   attack_clocks(Clocks::kDrifting, 100, 1000, 40);
   attack_clocks(Clocks::kDrifting, 20'000, 1100, 40);
 }
 
-TEST(SteadyHandover, ThroughSeveralClocks) {
+TEST(KeysHandover, ThroughSeveralClocks) {
   attack_clocks(Clocks::kApart, 0, 1200, 40);
   attack_clocks(Clocks::kApart, 100, 1300, 40);
   attack_clocks(Clocks::kApart, 20'000, 1400, 40);
@@ -288,7 +288,7 @@ std::optional<TwoPolicies> two_policies_with_losses(std::uint64_t seed,
   return two;
 }
 
-TEST(SteadyHandover, WhatIsOffInOneTableMakesNothingElseLater) {
+TEST(KeysHandover, WhatIsOffInOneTableMakesNothingElseLater) {
   int bounded = 0, off = 0;
   for (std::uint64_t seed = 300; seed < 350; ++seed) {
     std::vector<char> both_have;
@@ -319,7 +319,7 @@ TEST(SteadyHandover, WhatIsOffInOneTableMakesNothingElseLater) {
   EXPECT_GE(off, 20);
 }
 
-TEST(SteadyHandover, FromATableToItselfWithTheSameTimesNothingIsLonger) {
+TEST(KeysHandover, FromATableToItselfWithTheSameTimesNothingIsLonger) {
   int same = 0;
   for (std::uint64_t seed = 100; seed < 160; ++seed) {
     auto two = two_policies(seed);
@@ -342,7 +342,7 @@ TEST(SteadyHandover, FromATableToItselfWithTheSameTimesNothingIsLonger) {
   EXPECT_GT(same, 10);
 }
 
-TEST(SteadyHandover, OfClocksThatShareAnXpuNothingFollows) {
+TEST(KeysHandover, OfClocksThatShareAnXpuNothingFollows) {
   int sharing = 0;
   for (std::uint64_t seed = 3000; seed < 3060; ++seed) {
     const auto two = two_policies(seed, Clocks::kShared);
@@ -359,7 +359,7 @@ TEST(SteadyHandover, OfClocksThatShareAnXpuNothingFollows) {
 }
 
 /// Clocks may share XPUs, and some of these do not preempt.
-TEST(SteadyHandover, NoPlayDrainsForLongerThanIsSaid) {
+TEST(KeysHandover, NoPlayDrainsForLongerThanIsSaid) {
   int played = 0;
   double fullest = 0;
   for (const auto& [clocks, ppm] :
@@ -383,4 +383,4 @@ TEST(SteadyHandover, NoPlayDrainsForLongerThanIsSaid) {
 }
 
 }  // namespace
-}  // namespace xauto::solver::steady
+}  // namespace xauto::solver::keys

@@ -137,7 +137,7 @@ TEST(LeastLoss, WhatIsOverSaysThatNothingIsShown) {
                                        stop = true;
                                        return work(app, loss) <= 120;
                                      },
-                                     {SteadyTime::max(), &stop});
+                                     {TimePoint::max(), &stop});
   EXPECT_TRUE(found.suffices);
   EXPECT_FALSE(found.least);
   EXPECT_LE(work(app, found.loss), 120);

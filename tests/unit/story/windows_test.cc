@@ -30,7 +30,7 @@ struct Drawn {
               0};
   }
   [[nodiscard]] std::string svg() const {
-    const auto report = solver::steady::check(app, platform, policy);
+    const auto report = solver::keys::check(app, platform, policy);
     EXPECT_TRUE(report) << report.error().to_string();
     return windows_svg(app, platform, policy, *report);
   }

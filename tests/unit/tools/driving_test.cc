@@ -25,8 +25,8 @@ TEST(Driving, AppJsonHoldsTheTimesOfTheProgram) {
 }
 
 /// Its version with three rates and two clocks has the same stages, and a control loop.
-TEST(Driving, SteadyJsonHasTheSameStagesAndAControlLoop) {
-  const std::string path = std::string(XAUTO_SOURCE_DIR) + "/examples/driving/steady.json";
+TEST(Driving, RatesJsonHasTheSameStagesAndAControlLoop) {
+  const std::string path = std::string(XAUTO_SOURCE_DIR) + "/examples/driving/rates.json";
   const auto app = load_app(path);
   ASSERT_TRUE(app) << app.error().to_string();
   const std::size_t stages = std::size(driving::kStages);

@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/keys/certificate.h"
+
+#include <algorithm>
+#include <functional>
+
+namespace xauto::solver::keys {
+namespace {
+
+bool refuse(std::string* why, std::string what) {
+  if (why != nullptr) *why = std::move(what);
+  return false;
+}
+
+/// One XPU of one domain: earliest deadline first over its pattern, from an idle XPU until what is
+/// left at the end of a hyperperiod repeats. Jobs of the first activations that the real start
+/// lacks only make it harder.
+class Alone {
+ public:
+  Alone(const Problem& p, int domain) : p_(p), hyper_(p.domains[at(domain)].hyper) {}
+
+  void add(Tick arrival, Tick due, Tick work, Tick slack, int xnode) {
+    const Tick turn = arrival / hyper_ * hyper_;
+    jobs_.push_back({arrival - turn, due - turn, work, slack, xnode});
+  }
+
+  [[nodiscard]] bool fits(std::string* why) {
+    std::sort(jobs_.begin(), jobs_.end(),
+              [](const Job& a, const Job& b) { return a.arrival < b.arrival; });
+    __int128 work = 0;
+    for (const Job& j : jobs_) work += j.work;
+    if (work > hyper_) return refuse(why, "its work is more than the hyperperiod");
+    std::vector<Left> left, before;
+    Tick now = 0;
+    // Work that is left over is the same after two hyperperiods if deadlines are met, but for what
+    // windows longer than one carry over.
+    for (int round = 0; round < kMostRounds; ++round) {
+      const Tick start = round * hyper_;
+      for (std::size_t k = 0; k <= jobs_.size(); ++k) {
+        const Tick until = k < jobs_.size() ? start + jobs_[k].arrival : start + hyper_;
+        if (!serve(left, now, until, why)) return false;
+        if (k < jobs_.size()) {
+          left.push_back({start + jobs_[k].due, jobs_[k].work, jobs_[k].slack, jobs_[k].xnode});
+          std::push_heap(left.begin(), left.end(), std::greater<>());
+        }
+      }
+      std::vector<Left> state = left;
+      for (Left& l : state) l.due -= start + hyper_;
+      std::sort(state.begin(), state.end(), std::greater<>());
+      if (round > 0 && state == before) return true;
+      before = std::move(state);
+    }
+    return refuse(why, "its work piles up");
+  }
+
+ private:
+  static constexpr int kMostRounds = 64;
+  struct Job {
+    Tick arrival, due, work, slack;
+    int xnode;
+  };
+  struct Left {
+    Tick due, work, slack;
+    int xnode;
+    auto operator<=>(const Left&) const = default;  // NOLINT(modernize-use-nullptr)
+  };
+
+  bool serve(std::vector<Left>& left, Tick& now, Tick until, std::string* why) const {
+    while (now < until && !left.empty()) {
+      Left& job = left.front();
+      const Tick slice = std::min(job.work, until - now);
+      now += slice;
+      job.work -= slice;
+      if (now + job.work + job.slack > job.due)
+        return refuse(why, "XNode '" + p_.xnode_name[at(job.xnode)] + "' ends after its key");
+      if (job.work > 0) break;
+      std::pop_heap(left.begin(), left.end(), std::greater<>());
+      left.pop_back();
+    }
+    now = until;
+    return true;
+  }
+
+  const Problem& p_;
+  Tick hyper_;
+  std::vector<Job> jobs_;
+};
+
+bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::string* why) {
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    const auto refuse_it = [&](const std::string& what) {
+      return refuse(why, "XNode '" + p.xnode_name[at(i)] + "' " + what);
+    };
+    const auto& may = p.may_run[at(i)];
+    if (std::find(may.begin(), may.end(), xpu[at(i)]) == may.end())
+      return refuse_it("may not run where it is");
+    const Tick period = p.period_of(i), work = p.wcet(i, xpu[at(i)]);
+    const std::int64_t ppm = p.domains[at(p.domain_of(i))].ppm;
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      const std::size_t next = at(p.slot[at(i)] + (n + 1) % p.jobs[at(i)]);
+      if (w.d[s] < 0 || w.d[s] > kMostKey || w.hold[s] < 0)
+        return refuse_it("has a key or a hold out of range");
+      if (w.a[s] + work > w.d[s]) return refuse_it("has a window shorter than its WCET");
+      if (w.d[next] + period - lost_in(period, ppm) < w.d[s])
+        return refuse_it("has keys that fall");
+      if (w.hold[next] + period - lost_in(period, ppm) < w.hold[s])
+        return refuse_it("has holds that fall");
+    }
+  }
+  return true;
+}
+
+/// The urgent releases of one component, on one XPU. Which of its activations they are, nobody knows:
+/// each XNode has the shortest of its windows, which begins up to `slip` after the earliest. Where
+/// windows are deeper than two urgent releases are apart, jobs of two releases may begin at any
+/// distance: then all begin at once.
+Pattern urgent_pattern(const Problem& p, const Component& c, int m, const std::vector<int>& xpu,
+                       const Windows& u, const Charges& charges) {
+  Pattern g;
+  g.period = c.urgent_every;
+  g.once = true;
+  Tick earliest = kForever, latest = 0;
+  g.ppm = p.domains[at(c.domain)].ppm;
+  for (const int i : c.xnodes) {
+    if (p.urgent[at(i)] == 0 || xpu[at(i)] != m) continue;
+    const std::size_t first = at(p.slot[at(i)]);
+    Tick begin = u.a[first], last = begin, length = u.d[first] - begin;
+    for (std::size_t s = first; s < first + at(c.jobs); ++s) {
+      begin = std::min(begin, u.a[s]);
+      last = std::max(last, u.a[s]);
+      length = std::min(length, u.d[s] - u.a[s]);
+      g.deepest = std::max(g.deepest, u.d[s]);
+    }
+    g.slip = std::max(g.slip, last - begin);
+    const bool pays = charges.urgent_preempts[at(i)] != 0;
+    earliest = std::min(earliest, begin);
+    latest = std::max(latest, begin);
+    g.jobs.push_back({begin, length, p.wcet(i, m) + (pays ? p.preempt[at(m)] : 0)});
+  }
+  const bool deep = latest + g.slip - earliest > g.period - lost_in(g.period, g.ppm);
+  if (deep) g.slip = 0;
+  for (WindowedJob& job : g.jobs) job.arrival = deep ? 0 : job.arrival % g.period;
+  return g;
+}
+
+}  // namespace
+
+std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
+  std::vector<int> domain(at(p.num_xpus), -1);
+  std::vector<char> shared(at(p.num_xpus), 0);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    int& d = domain[at(xpu[at(i)])];
+    if ((d >= 0 && d != p.domain_of(i)) || p.urgent[at(i)] != 0) shared[at(xpu[at(i)])] = 1;
+    d = p.domain_of(i);
+  }
+  return shared;
+}
+
+Tick drift_pad(Tick deepest, std::int64_t ppm) {
+  if (ppm == 0) return 0;
+  return in_fast_time(in_slow_time(2 * deepest, ppm) - 2 * deepest + 1, ppm);
+}
+
+bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
+                 const Windows& u, const Charges& charges, Tightest* tightest) {
+  // One per domain; of a clock that has been split one per component.
+  std::vector<Pattern> patterns(p.domains.size() + p.components.size());
+  std::vector<Blocking> blocking;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (xpu[at(i)] != m) continue;
+    const Component& c = p.components[at(p.component_of[at(i)])];
+    const bool part = p.domains[at(c.domain)].part;
+    Pattern& g = patterns[part ? p.domains.size() + at(p.component_of[at(i)]) : at(c.domain)];
+    g.period = p.domains[at(c.domain)].hyper;
+    g.ppm = p.domains[at(c.domain)].ppm;
+    Tick longest = 0;  // that it may block: of those that may have started as the last
+    for (int n = 0; n < c.jobs; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      const Tick work = p.wcet(i, m) + (charges.preempts[s] != 0 ? p.preempt[at(m)] : 0);
+      g.deepest = std::max(g.deepest, w.d[s]);
+      longest = std::max(longest, w.d[s] - charges.last_start[s]);
+      g.jobs.push_back(
+          {(c.phase % g.period + n * c.period + w.a[s]) % g.period, w.d[s] - w.a[s], work});
+    }
+    if (longest > 0) blocking.push_back({longest, work_of_blocker(p, i, m)});
+  }
+  // None blocks for longer than the job whose place it takes: its e is earlier by no more than its
+  // key.
+  for (const Component& c : p.components)
+    if (c.urgent_source >= 0) patterns.push_back(urgent_pattern(p, c, m, xpu, u, charges));
+  std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
+  return demand_fits(patterns, blocking, tightest);
+}
+
+bool certify_xpu(const Problem& p, int m, const std::vector<int>& xpu, bool shared,
+                 const Windows& w, const Windows& u, const Charges& charges, std::string* why) {
+  const std::string name = "XPU '" + p.xpu_name[at(m)] + "': ";
+  if (shared)
+    return shared_fits(p, m, xpu, w, u, charges) ||
+           refuse(why, name + "the demand is above what it can serve");
+  int domain = -1;
+  Tick deepest = 0;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (xpu[at(i)] != m) continue;
+    domain = p.domain_of(i);
+    for (int n = 0; n < p.jobs[at(i)]; ++n) deepest = std::max(deepest, w.d[at(p.slot[at(i)] + n)]);
+  }
+  if (domain < 0) return true;
+  const std::int64_t ppm = p.domains[at(domain)].ppm;
+  const Tick pad = drift_pad(deepest, ppm);
+  Alone alone(p, domain);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (xpu[at(i)] != m) continue;
+    const Component& c = p.components[at(p.component_of[at(i)])];
+    for (int n = 0; n < c.jobs; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      const Tick cost = charges.preempts[s] != 0 ? p.preempt[at(m)] : 0;
+      const Tick work = in_fast_time(p.wcet(i, m) + cost, ppm);
+      const Tick slack = in_fast_time(charges.blocked_by[s], ppm) + pad;
+      const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
+      alone.add(release + w.a[s], release + w.d[s], work, slack, i);
+    }
+  }
+  std::string cause;
+  return alone.fits(&cause) || refuse(why, name + cause);
+}
+
+bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why,
+             const Until& until) {
+  w.a.resize(at(p.num_slots));
+  for (std::size_t d = 0; d < p.domains.size(); ++d) derive_ready(p, static_cast<int>(d), xpu, w);
+  if (!sane(p, xpu, w, why)) return false;
+  Windows u;
+  derive_urgent(p, xpu, w, u);
+  if (int i = -1; urgent_shortfall(p, xpu, w, u, i) > 0)
+    return refuse(why, "XNode '" + p.xnode_name[at(i)] + "' has no room for urgent releases");
+  Charges charges;
+  charge(p, xpu, w, u, -1, charges);
+  const std::vector<char> shared = shared_xpus(p, xpu);
+  for (int m = 0; m < p.num_xpus; ++m) {
+    if (until.over()) return refuse(why, "the time is over");
+    if (!certify_xpu(p, m, xpu, shared[at(m)] != 0, w, u, charges, why)) return false;
+  }
+  return true;
+}
+
+}  // namespace xauto::solver::keys

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// Chains: how long a release takes at most to reach a chain's end, from keys and holds alone.
+//
+// Inside a component: d of the last XNode - (offset of the source - phase).
+// Through a sample u -> v: v reads when it starts, not before its release + e, its earliest start.
+//   One domain:  the first activation n of v with  release(n) + e_v(n) >= release(k) + d_u(k).
+//                Where v's release may be urgent, it may start sooner. Where the clock drifts several may
+//                be the first: n is released at most a period - e_v(n-1) after u's end, too.
+//   Two domains: from d_u to v's release + e at most the largest distance of two of them.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "solver/keys/problem.h"
+#include "solver/keys/windows.h"
+
+namespace xauto::solver::keys {
+
+/// The least real distance of two releases that are `length` of their clock apart, which may be below 0.
+[[nodiscard]] Tick least_distance(Tick length, std::int64_t ppm);
+
+/// The worst of its ways, in ticks. d and e of `w` are read. `urgent`: of a release that the
+/// chain's source marks so; the source may.
+[[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Windows& w,
+                              bool urgent = false);
+/// The same for one way.
+[[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Path& path,
+                              const Windows& w, bool urgent = false);
+
+}  // namespace xauto::solver::keys

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/keys/check.h"
+
+#include <fmt/format.h>
+
+#include "solver/keys/check_chains.h"
+#include "solver/keys/check_load.h"
+#include "solver/keys/check_world.h"
+
+namespace xauto::solver::keys {
+namespace checking {
+
+Status compare(const ChainClaim& claim, ChainProof& proof) {
+  const std::string where = "chain '" + proof.name + "'";
+  const auto lies = [&](std::string what) {
+    return fail(ErrorCode::kInfeasible, std::move(what), where, "solve again");
+  };
+  proof.claimed_us = claim.worst_case_us;
+  proof.claimed_bound_us = claim.lower_bound_us;
+  if (proof.derived_us > claim.worst_case_us)
+    return lies(fmt::format("worst_case_us is {}, what follows is {}, along {}",
+                            claim.worst_case_us, proof.derived_us, fmt::join(proof.path, " > ")));
+  if (proof.urgent_us.has_value() != claim.urgent_worst_case_us.has_value())
+    return lies(proof.urgent_us ? "no urgent_worst_case_us, and its source may be urgent"
+                                : "urgent_worst_case_us, and its source is never urgent");
+  if (proof.urgent_us && *proof.urgent_us > *claim.urgent_worst_case_us)
+    return lies(fmt::format("urgent_worst_case_us is {}, what follows is {}",
+                            *claim.urgent_worst_case_us, *proof.urgent_us));
+  if (claim.lower_bound_us > proof.derived_us)
+    return lies(fmt::format("lower_bound_us is {}, but this policy is never longer than {}",
+                            claim.lower_bound_us, proof.derived_us));
+  if (claim.optimal && claim.lower_bound_us != claim.worst_case_us)
+    return lies(fmt::format("optimal, with a lower bound of {} and a worst case of {}",
+                            claim.lower_bound_us, claim.worst_case_us));
+  return {};
+}
+
+}  // namespace checking
+
+Status check_places(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  if (policy.by_priority()) return validate(policy, app, platform);
+  XAUTO_ASSIGN([[maybe_unused]] const checking::World w,
+               checking::structure(app, platform, policy, false));
+  return {};
+}
+
+Result<CheckReport> check(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  if (!policy.certified)
+    return fail(ErrorCode::kInvalid, "is not certified: it claims nothing that could be derived",
+                "policy", "`xauto solve` says what would make it certified");
+  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy));
+  if (policy.chains.size() != app.chains.size())
+    return fail(ErrorCode::kInvalid,
+                fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
+                "policy");
+  CheckReport report;
+  for (const auto& windows : w.windows) {
+    std::vector<JobWindow>& list = report.windows.emplace_back();
+    for (const checking::Window& window : windows) list.push_back({w.us(window.a), w.us(window.d)});
+  }
+  std::int64_t longest_us = 0;
+  for (const KeyPlacement& placed : policy.placements)
+    longest_us = std::max(longest_us, *std::ranges::max_element(placed.key_us));
+  for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
+    XAUTO_ASSIGN(XpuProof proof, checking::prove_load(w, static_cast<int>(m)));
+    if (app.one_at_a_time && longest_us > 0) {  // no release takes longer
+      proof.load *= static_cast<double>(proof.repeats_us) / static_cast<double>(longest_us);
+      proof.repeats_us = static_cast<double>(longest_us);
+    }
+    report.xpus.push_back(std::move(proof));
+  }
+  for (std::size_t k = 0; k < app.chains.size(); ++k) {
+    if (policy.chains[k].name != app.chains[k].name)
+      return fail(
+          ErrorCode::kInvalid,
+          fmt::format("chain {} is '{}', not '{}'", k, policy.chains[k].name, app.chains[k].name),
+          "policy");
+    XAUTO_ASSIGN(ChainProof proof, checking::derive_chain(w, k, false));
+    proof.claimed_urgent_us = policy.chains[k].urgent_worst_case_us;
+    if (app.sources[at(app.chains[k].from)].urgent) {
+      XAUTO_ASSIGN(const ChainProof urgent, checking::derive_chain(w, k, true));
+      proof.urgent_us = urgent.derived_us;
+    }
+    proof.name = app.chains[k].name;
+    proof.deadline_us = app.chains[k].deadline_us;
+    XAUTO_TRY(checking::compare(policy.chains[k], proof));
+    report.chains.push_back(std::move(proof));
+  }
+  return report;
+}
+
+}  // namespace xauto::solver::keys

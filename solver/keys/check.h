@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+// Does a policy of keys hold for ever? Derives it again from app, platform and policy alone:
+// every window, on every XPU a schedule or a demand curve, and each chain's worst case. Shares no
+// code with the search. The theory and its proofs: docs/keys-check.md.
+//
+// A refusal is an Error: kInfeasible where the policy claims what does not follow, with XNode,
+// activation, XPU and instant; kInvalid where the input makes no sense.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/key_policy.h"
+#include "model/platform.h"
+
+namespace xauto::solver::keys {
+
+/// Why every job on one XPU ends by its key.
+struct XpuProof {
+  std::string xpu;
+  /// "schedule", "demand bound", "demand bound and blocking", or "no job".
+  std::string kind;
+  double load = 0;        ///< of its time, with the preemptions that are charged
+  std::int64_t jobs = 0;  ///< in `repeats_us`, of all clocks
+  std::int64_t charged = 0;
+  double repeats_us = 0;  ///< the pattern that was looked at; the longest one, of several clocks
+  /// Tightest point: what has its window in an interval of length `length_us` needs `demand_us` of
+  /// it. It ends with the key of this job.
+  std::string xnode;
+  std::int64_t activation = 0;
+  double length_us = 0, demand_us = 0, slack_us = 0;
+};
+
+struct ChainProof {
+  std::string name;
+  std::int64_t derived_us = 0;  ///< worst case that follows, rounded up
+  std::int64_t claimed_us = 0;
+  std::int64_t own_bound_us = 0;  ///< no policy is shorter: least WCETs along the worst path
+  std::int64_t claimed_bound_us = 0;
+  /// derived_us and claimed_us of an urgent release; nullopt: its source has none.
+  std::optional<std::int64_t> urgent_us = {}, claimed_urgent_us = {};
+  std::vector<std::string> path;  ///< source, then where it enters and leaves each component
+  std::optional<std::int64_t> deadline_us;
+  [[nodiscard]] bool late() const { return deadline_us && derived_us > *deadline_us; }
+};
+
+/// After the nominal release of the job's component.
+struct JobWindow {
+  double ready_us = 0;  ///< by then, if all others keep their keys
+  double key_us = 0;
+};
+
+struct CheckReport {
+  std::vector<XpuProof> xpus;
+  std::vector<std::vector<JobWindow>> windows;  ///< [xnode][activation mod size]
+  std::vector<ChainProof> chains;
+};
+
+/// kInvalid, too, of a policy that is not certified: it claims nothing that could follow.
+[[nodiscard]] Result<CheckReport> check(const AppSpec& app, const Platform& platform,
+                                        const KeyPolicy& policy);
+
+/// What a policy states that is not certified: it is for this app, each XNode is where it can run, and its order leaves
+/// a way through. Nothing of times.
+[[nodiscard]] Status check_places(const AppSpec& app, const Platform& platform,
+                                  const KeyPolicy& policy);
+
+}  // namespace xauto::solver::keys

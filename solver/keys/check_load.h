@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: Apache-2.0
+// Per XPU, alone: whatever arrives within its windows ends within them. Used by check.cc.
+#pragma once
+
+#include <xauto/result.h>
+
+#include "solver/keys/check.h"
+#include "solver/keys/check_world.h"
+
+namespace xauto::solver::keys::checking {
+
+/// The proof for XPU `m`, or why there is none.
+[[nodiscard]] Result<XpuProof> prove_load(const World& w, int m);
+
+}  // namespace xauto::solver::keys::checking

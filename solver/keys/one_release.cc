@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/keys/one_release.h"
+
+#include <algorithm>
+#include <map>
+#include <numeric>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "solver/bounds.h"
+
+namespace xauto::solver::keys {
+namespace {
+
+/// `keep`: [xnode] whether it is in it. With the wishes that are of those.
+struct OneRelease {
+  AppSpec app;
+  Objectives wishes;
+};
+OneRelease part_of(const AppSpec& app, const Objectives& wishes, const std::vector<char>& keep) {
+  OneRelease part;
+  part.app.name = app.name;
+  std::vector<int> number(app.xnodes.size(), -1);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    if (keep[i] == 0) continue;
+    number[i] = static_cast<int>(part.app.xnodes.size());
+    XNodeSpec x = app.xnodes[i];
+    x.sources.clear();
+    x.variants.clear();
+    part.app.xnodes.push_back(std::move(x));
+  }
+  for (const auto& [u, v] : app.edges)
+    if (number[at(u)] >= 0 && number[at(v)] >= 0)
+      part.app.edges.emplace_back(number[at(u)], number[at(v)]);
+  const auto known = [&](const std::string& name) { return part.app.find(name) >= 0; };
+  for (const auto& pin : wishes.pins)
+    if (known(pin.first)) part.wishes.pins.push_back(pin);
+  for (const auto& forbid : wishes.forbids)
+    if (known(forbid.first)) part.wishes.forbids.push_back(forbid);
+  for (const auto& group : wishes.groups) {
+    std::vector<std::string> there;
+    std::copy_if(group.begin(), group.end(), std::back_inserter(there), known);
+    if (there.size() > 1) part.wishes.groups.push_back(std::move(there));
+  }
+  return part;
+}
+
+/// Of chains within one component, since what a sample reads is of another release.
+void add_deadlines(const AppSpec& app, const Problem& p, Objectives& wishes) {
+  for (std::size_t c = 0; c < p.chains.size(); ++c) {
+    const Chain& chain = p.chains[c];
+    const bool direct = std::any_of(chain.paths.begin(), chain.paths.end(),
+                                    [](const Path& path) { return path.samples.empty(); });
+    if (!app.chains[c].deadline_us || !direct) continue;
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      const std::vector<int>& heard = app.xnodes[at(i)].sources;
+      if (std::find(heard.begin(), heard.end(), chain.source) == heard.end() ||
+          (i != chain.to && !p.before(i, chain.to)))
+        continue;
+      wishes.chains.push_back({chain.name, p.xnode_name[at(i)], p.xnode_name[at(chain.to)],
+                               app.chains[c].deadline_us, 0});
+      break;
+    }
+  }
+}
+
+/// What `to` waits for by edges, and when the first of its roots hears, at the latest.
+OneRelease behind(const AppSpec& app, const Problem& p, int to, const Objectives& wishes,
+                  Tick& earliest) {
+  std::vector<char> keep(at(p.num_xnodes), 0);
+  earliest = kMostTicks;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (i != to && !p.before(i, to)) continue;
+    keep[at(i)] = 1;
+    if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
+  }
+  return part_of(app, wishes, keep);
+}
+
+/// On each XPU one after the other, as they start in the plan; each ends when its longest way is over.
+void put_in_sequence(const Problem& p, KeyPolicy& policy, const Policy& plan) {
+  std::vector<int> all(plan.placements.size());
+  std::iota(all.begin(), all.end(), 0);
+  std::stable_sort(all.begin(), all.end(), [&](int a, int b) {
+    const Placement &one = plan.placements[at(a)], &other = plan.placements[at(b)];
+    return std::tie(one.start_us, one.finish_us) < std::tie(other.start_us, other.finish_us);
+  });
+  std::map<int, int> last_on;
+  for (const int i : all) {
+    const int xpu = plan.placements[at(i)].xpu;
+    Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+    const auto end_of = [&](int j) { return policy.placements[at(j)].key_us.front() * p.scale; };
+    for (const EdgeEnd& link : p.pred[at(i)])
+      ready = std::max(
+          ready, end_of(link.xnode) + p.transfer(link, plan.placements[at(link.xnode)].xpu, xpu));
+    if (const auto [last, first] = last_on.emplace(xpu, i); !first) {
+      policy.order.emplace_back(last->second, i);
+      ready = std::max(ready, end_of(last->second));
+      last->second = i;
+    }
+    policy.placements[at(i)].key_us = {p.up_to_us(ready + p.wcet(i, xpu)) / p.scale};
+  }
+}
+
+/// Who ends last of all is then the end of a chain, which hears of it directly; and no source of one is later than
+/// its component.
+bool every_end_is_a_chain(const Problem& p) {
+  std::vector<char> ends(at(p.num_xnodes), 0);
+  for (const Chain& chain : p.chains)
+    if (chain.offset == p.components[at(p.component_of[at(chain.to)])].phase &&
+        std::any_of(chain.paths.begin(), chain.paths.end(),
+                    [](const Path& path) { return path.samples.empty(); }))
+      ends[at(chain.to)] = 1;
+  for (int i = 0; i < p.num_xnodes; ++i)
+    if (p.succ[at(i)].empty() && ends[at(i)] == 0) return false;
+  return true;
+}
+
+}  // namespace
+
+Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& platform,
+                                        const Problem& p, SolveOptions options) {
+  for (std::size_t c = 1; c < p.components.size(); ++c)
+    if (!p.released_together(0, static_cast<int>(c)))
+      return fail(ErrorCode::kUnavailable, "its XNodes are not all released together", app.name);
+  OneRelease whole = part_of(app, options.objectives, std::vector<char>(app.xnodes.size(), 1));
+  // The baselines have no order of their own, and know of no chains.
+  const bool keeps_order = options.method == "auto" || options.method == "search";
+  if (keeps_order) add_deadlines(app, p, whole.wishes);
+  options.objectives = std::move(whole.wishes);
+  options.certify = keeps_order;
+  XAUTO_ASSIGN(const Policy plan, solver::solve(whole.app, platform, options));
+  // Nobody hears before the latest of the roots.
+  const Tick late =
+      p.up_to_us(*std::max_element(p.root_ready.begin(), p.root_ready.end())) / p.scale;
+  ReleasePlan found;
+  KeyPolicy& policy = found.policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.platform = platform.name;
+  policy.method = plan.method;
+  policy.order = plan.order;
+  for (const Placement& placed : plan.placements)
+    policy.placements.push_back({placed.xpu, {placed.finish_us + late}});
+  if (!keeps_order) put_in_sequence(p, policy, plan);
+  const Tick first = *std::min_element(p.root_ready.begin(), p.root_ready.end());
+  if (every_end_is_a_chain(p)) found.bound = first + plan.lower_bound_us * p.scale;
+  return found;
+}
+
+Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
+                          const SolveOptions& options) {
+  XAUTO_ASSIGN(const Policy plan, solver::solve(app, platform, options));
+  return Baseline{by_priorities(plan, app), plan.latency_us};
+}
+
+Tick quick_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
+                         const Objectives& wishes, const Until& until) {
+  Tick earliest = 0;
+  const OneRelease part = behind(app, p, to, wishes, earliest);
+  Result<solver::Problem> base = solver::Problem::create(part.app, platform);
+  if (!base || !resolve(part.wishes, part.app, platform, *base)) return 0;
+  return earliest + quick_bound(*base, until) * p.scale;
+}
+
+Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,
+                       SolveOptions options) {
+  Tick earliest = 0;
+  OneRelease part = behind(app, p, to, options.objectives, earliest);
+  options.objectives = std::move(part.wishes);
+  const Result<Policy> plan = solver::solve(part.app, platform, options);
+  return plan ? earliest + plan->lower_bound_us * p.scale : 0;
+}
+
+}  // namespace xauto::solver::keys

@@ -1,0 +1,359 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/keys/windows.h"
+
+#include <algorithm>
+#include <functional>
+#include <map>
+#include <utility>
+
+namespace xauto::solver::keys {
+namespace {
+
+/// XNode i against another one of its XPU. `starts`: [slot] before which no job of j has started in the way
+/// that is asked for; kForever: never.
+struct Pair {
+  const Problem& p;
+  const Windows& w;
+  const std::vector<Tick>& starts;
+  int i, j;
+  Tick least = kForever;  ///< of the starts of j
+  Tick longest = 0;       ///< largest d - start of j; 0: no job of it starts
+  Tick deepest = 0;       ///< largest d of j
+
+  bool apart;  ///< their phase is not known
+
+  Pair(const Problem& problem, const Windows& windows, const std::vector<Tick>& start, int xnode,
+       int other, bool shared)
+      : p(problem),
+        w(windows),
+        starts(start),
+        i(xnode),
+        j(other),
+        apart(p.domain_of(i) != p.domain_of(j) ||
+              (shared && p.component_of[at(i)] != p.component_of[at(j)] &&
+               p.domains[at(p.domain_of(i))].part)) {
+    for (int m = 0; m < p.jobs[at(j)]; ++m) {
+      const std::size_t s = at(p.slot[at(j)] + m);
+      least = std::min(least, starts[s]);
+      longest = std::max(longest, w.d[s] - starts[s]);
+      deepest = std::max(deepest, w.d[s]);
+    }
+  }
+
+  /// Whether some (j, m) may have started when (i, n) becomes ready, with a larger key.
+  [[nodiscard]] bool meets(int n) const { return first(n, true) < kForever; }
+  /// The earliest start of such a job, after the release of (i, n); kForever: there is none. `any`: of any one.
+  [[nodiscard]] Tick first(int n, bool any = false) const {
+    const Component& ci = p.components[at(p.component_of[at(i)])];
+    const Component& cj = p.components[at(p.component_of[at(j)])];
+    const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
+    if (least == kForever) return kForever;
+    if (apart) return longest > d - a ? d - longest : kForever;
+    // A clock that drifts moves releases against each other by up to this within the windows.
+    const Tick blur = lost_in(a + d + deepest, p.domains[at(ci.domain)].ppm);
+    const Tick release = ci.phase + n * ci.period, ready = release + a + blur;
+    std::int64_t m = floor_div(ready - 1 - cj.phase - least, cj.period);
+    // Who waits for whom is of one period and phase: activations of one number belong together.
+    if (p.before(i, j)) m = std::min<std::int64_t>(m, n - 1);
+    if (&ci == &cj) {
+      const int module = p.module_of[at(i)];
+      if (module >= 0 && module == p.module_of[at(j)])
+        m = std::min(m, n + std::min(p.modules[at(module)].in_flight, kMillion) - 1);
+    }
+    const bool waits = p.before(j, i);
+    Tick earliest = kForever;
+    // d + release does not fall from one activation to the next.
+    for (;; --m) {
+      const Tick of = cj.phase + m * cj.period, start = starts[p.slot_of(j, m)];
+      if (of + w.d[p.slot_of(j, m)] + blur <= release + d || (waits && m <= n)) return earliest;
+      if (start == kForever || of + start >= ready) continue;
+      earliest = std::min(earliest, of + start - blur - release);
+      if (any) return earliest;
+    }
+  }
+};
+
+/// XNodes of one XPU whose phases are known: a domain; of a clock that has been split a component; where releases
+/// may be urgent, one XNode.
+struct Unit {
+  std::vector<int> xnodes;
+  /// [depth - 1][slot] the earliest start above depth - 1 others of the unit; kForever: never.
+  std::vector<std::vector<Tick>> starts;
+  std::vector<Tick> longest;  ///< [depth - 1] largest d - start
+};
+
+/// Last starts on one XPU that has `levels`.
+class Levels {
+ public:
+  Levels(const Problem& problem, const Windows& w, const Windows& u, int levels)
+      : p_(problem), w_(w), u_(u), levels_(levels) {}
+
+  void set_last_starts(const std::vector<int>& here, std::vector<Tick>& last) {
+    for (const int i : here) each(i, [&](std::size_t s) { last[s] = kForever; });
+    // Activations of an XNode are one after the other.
+    if (static_cast<int>(here.size()) <= levels_) return;
+    make_units(here);
+    bool waits = false;  // some job, while as many as there are levels have started
+    for (const Unit& unit : units_)
+      for (const int i : unit.xnodes)
+        each(i, [&](std::size_t s) {
+          const std::vector<Tick> below = lengths_below(unit, i, s);
+          waits = waits || at(levels_) <= below.size();
+          if (at(levels_) > below.size() + 1) return;
+          Tick length = w_.d[s] - w_.e[s];
+          if (levels_ > 1) length = std::min(length, below[at(levels_ - 2)]);
+          last[s] = w_.d[s] - length;
+        });
+    if (waits) return;
+    for (const int i : here) each(i, [&](std::size_t s) { last[s] = kForever; });
+  }
+
+ private:
+  template <typename Act>
+  void each(int i, const Act& act) const {
+    for (int n = 0; n < p_.jobs[at(i)]; ++n) act(at(p_.slot[at(i)] + n));
+  }
+
+  void make_units(const std::vector<int>& here) {
+    const bool urgent =
+        std::any_of(here.begin(), here.end(), [&](int i) { return p_.urgent[at(i)] != 0; });
+    std::map<std::pair<int, int>, Unit> units;
+    for (const int i : here) {
+      const int domain = p_.domain_of(i);
+      const bool part = p_.domains[at(domain)].part;
+      units[urgent ? std::pair(-1, i) : std::pair(domain, part ? p_.component_of[at(i)] : -1)]
+          .xnodes.push_back(i);
+    }
+    for (auto& [key, unit] : units) {
+      make_starts(unit);
+      units_.push_back(std::move(unit));
+    }
+  }
+
+  ///   above nobody: e;  above one more: max(e, the least start of whom it may start above)
+  void make_starts(Unit& unit) const {
+    unit.starts.push_back(w_.e);
+    while (true) {
+      Tick longest = 0;
+      for (const int i : unit.xnodes)
+        each(i,
+             [&](std::size_t s) { longest = std::max(longest, w_.d[s] - unit.starts.back()[s]); });
+      if (longest <= 0) break;
+      unit.longest.push_back(longest);
+      if (unit.longest.size() == std::min(unit.xnodes.size(), at(levels_) + 1)) return;
+      std::vector<Tick> next(w_.e.size(), kForever);
+      for (const int i : unit.xnodes)
+        for (const int j : unit.xnodes) {
+          if (i == j) continue;
+          const Pair pair(p_, w_, unit.starts.back(), i, j, false);
+          for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+            const std::size_t s = at(p_.slot[at(i)] + n);
+            next[s] = std::min(next[s], std::max(w_.e[s], pair.first(n)));
+          }
+        }
+      unit.starts.push_back(std::move(next));
+    }
+    unit.starts.pop_back();
+  }
+
+  /// The lengths below a job of i, the longest first (docs/keys.md, "Levels"). An urgent job's d - e is
+  /// not larger than the ordinary one's.
+  [[nodiscard]] std::vector<Tick> lengths_below(const Unit& own, int i, std::size_t s) const {
+    std::vector<Tick> lengths;
+    for (std::size_t depth = 1; depth < own.starts.size(); ++depth)
+      if (own.starts[depth][s] < kForever) lengths.push_back(w_.d[s] - own.starts[depth][s]);
+    Tick shortest = w_.d[s] - w_.a[s];
+    if (p_.urgent[at(i)] != 0)
+      each(i, [&](std::size_t k) { shortest = std::min(shortest, u_.d[k] - u_.a[k]); });
+    for (const Unit& other : units_)
+      for (const Tick longest : other.longest)
+        if (&other != &own && longest > shortest) lengths.push_back(longest);
+    std::sort(lengths.begin(), lengths.end(), std::greater<>());
+    return lengths;
+  }
+
+  const Problem& p_;
+  const Windows& w_;
+  const Windows& u_;
+  int levels_;
+  std::vector<Unit> units_;
+};
+
+/// Adds to `a` of entries that they wait until their modules have room; of one domain, or, -1, of
+/// all urgent ones. Those before them are as in `w`.
+void admit(const Problem& p, int domain, const Windows& w, Windows& of) {
+  for (const Module& module : p.modules) {
+    const Component& component = p.components[at(module.component)];
+    if (domain >= 0 ? component.domain != domain : component.urgent_source < 0) continue;
+    // So many activations later every job of today is over, in any policy that is looked at.
+    if (module.in_flight > kMostTicks / component.period) continue;
+    const Tick apart = module.in_flight * component.period;
+    const Tick lost = lost_in(apart, p.domains[at(component.domain)].ppm);
+    for (int n = 0; n < component.jobs; ++n) {
+      Tick last = 0;
+      for (const int i : module.xnodes) last = std::max(last, w.d[at(p.slot[at(i)] + n)]);
+      const auto admitted = static_cast<std::size_t>((n + module.in_flight) % component.jobs);
+      for (const int e : module.entries) {
+        if (domain < 0 && p.urgent[at(e)] == 0) continue;
+        Tick& a = of.a[at(p.slot[at(e)]) + admitted];
+        a = std::max(a, last - apart + lost);
+      }
+    }
+  }
+}
+
+/// Urgent releases and the others, as of two domains.
+void charge_urgent(const Problem& p, const std::vector<int>& here, const Windows& w,
+                   const Windows& u, Charges& out) {
+  for (const int j : here) {
+    Tick longest = 0, longest_urgent = 0;
+    for (int n = 0; n < p.jobs[at(j)]; ++n) {
+      const std::size_t s = at(p.slot[at(j)] + n);
+      longest = std::max(longest, w.d[s] - w.e[s]);
+      if (p.urgent[at(j)] != 0) longest_urgent = std::max(longest_urgent, u.d[s] - u.e[s]);
+    }
+    for (const int i : here)
+      for (int n = 0; n < p.jobs[at(i)] && i != j; ++n) {
+        const std::size_t s = at(p.slot[at(i)] + n);
+        if (longest_urgent > w.d[s] - w.a[s]) out.preempts[s] = 1;
+        if (p.urgent[at(i)] != 0 && std::max(longest, longest_urgent) > u.d[s] - u.a[s])
+          out.urgent_preempts[at(i)] = 1;
+      }
+  }
+  // An urgent job takes the place of one that is counted with what it pays.
+  for (const int i : here)
+    if (out.urgent_preempts[at(i)] != 0)
+      std::fill_n(out.preempts.begin() + p.slot[at(i)], p.jobs[at(i)], char{1});
+}
+
+}  // namespace
+
+Tick lost_in(Tick distance, std::int64_t ppm) {
+  return ppm == 0 ? 0 : in_fast_time(distance, ppm) - distance + 1;
+}
+
+Windows keys_and_holds(const Problem& p, const KeyPolicy& policy) {
+  Windows w;
+  for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    const KeyPlacement& placed = policy.placements[at(i)];
+    const std::size_t size = placed.key_us.size();
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
+      w.d[p.slot_of(i, n)] = placed.key_us[at(n) % size] * p.scale;
+      if (!placed.hold_us.empty()) w.hold[p.slot_of(i, n)] = placed.hold_us[at(n) % size] * p.scale;
+    }
+  }
+  return w;
+}
+
+void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Windows& w) {
+  w.e.resize(w.a.size());
+  for (const int i : p.domains[at(domain)].xnodes) {
+    const Component& component = p.components[at(p.component_of[at(i)])];
+    const std::size_t base = at(p.slot[at(i)]);
+    const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+    for (std::size_t n = 0; n < at(component.jobs); ++n) {
+      w.a[base + n] = std::max(least, w.hold[base + n]);
+      w.e[base + n] = w.hold[base + n];
+    }
+    for (const EdgeEnd& link : p.pred[at(i)]) {
+      const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
+      const std::size_t from = at(p.slot[at(link.xnode)]);
+      for (std::size_t n = 0; n < at(component.jobs); ++n) {
+        w.a[base + n] = std::max(w.a[base + n], w.d[from + n] + passes);
+        w.e[base + n] = std::max(w.e[base + n], w.e[from + n]);
+      }
+    }
+  }
+  admit(p, domain, w, w);
+}
+
+void derive_urgent(const Problem& p, const std::vector<int>& xpu, const Windows& w, Windows& u) {
+  u = w;
+  if (!p.any_urgent) return;
+  for (const Domain& domain : p.domains)
+    for (const int i : domain.xnodes) {
+      const Component& c = p.components[at(p.component_of[at(i)])];
+      if (p.urgent[at(i)] == 0) continue;
+      const std::size_t base = at(p.slot[at(i)]);
+      const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+      const Tick apart = c.period - lost_in(c.period, p.domains[at(c.domain)].ppm);
+      for (std::size_t n = 0; n < at(c.jobs); ++n) {
+        const std::size_t s = base + n, previous = base + (n == 0 ? at(c.jobs) - 1 : n - 1);
+        u.hold[s] = std::max(Tick{0}, w.hold[s] - c.urgent_by);
+        u.d[s] = w.d[s] - c.urgent_by;
+        u.e[s] = u.hold[s];
+        u.a[s] = std::max({least, u.hold[s], w.a[previous] - apart});
+        for (const EdgeEnd& link : p.pred[at(i)]) {
+          const std::size_t from = at(p.slot[at(link.xnode)]) + n;
+          const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
+          u.a[s] = std::max(u.a[s], u.d[from] + passes);
+          u.e[s] = std::max(u.e[s], u.e[from]);
+        }
+      }
+    }
+  admit(p, -1, w, u);
+}
+
+Tick urgent_shortfall(const Problem& p, const std::vector<int>& xpu, const Windows& w,
+                      const Windows& u, int& xnode) {
+  Tick most = 0;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (p.urgent[at(i)] == 0) continue;
+    const Component& c = p.components[at(p.component_of[at(i)])];
+    const Tick apart = c.period - lost_in(c.period, p.domains[at(c.domain)].ppm);
+    const Tick work = p.wcet(i, xpu[at(i)]);
+    for (int n = 0; n < c.jobs; ++n) {
+      const std::size_t s = p.slot_of(i, n), previous = p.slot_of(i, n - 1);
+      const Tick missing = std::max(u.a[s] + work - u.d[s], w.d[previous] - apart - u.d[s]);
+      if (missing <= most) continue;
+      most = missing;
+      xnode = i;
+    }
+  }
+  return most;
+}
+
+void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, const Windows& u,
+            int only_xpu, Charges& out) {
+  out.preempts.assign(at(p.num_slots), 0);
+  out.blocked_by.assign(at(p.num_slots), 0);
+  out.last_start.assign(at(p.num_slots), kForever);
+  out.urgent_preempts.assign(at(p.num_xnodes), 0);
+  std::vector<std::vector<int>> here(at(p.num_xpus));
+  for (int i = 0; i < p.num_xnodes; ++i) here[at(xpu[at(i)])].push_back(i);
+  for (int m = 0; m < p.num_xpus; ++m) {
+    if (only_xpu >= 0 && m != only_xpu) continue;
+    const bool limited = p.levels[at(m)] != kAnyLevels;
+    const bool costs = p.preemptive[at(m)] != 0 && p.preempt[at(m)] > 0;
+    if (!limited && !costs) continue;
+    const bool shared = std::any_of(here[at(m)].begin(), here[at(m)].end(), [&](int i) {
+      return p.domain_of(i) != p.domain_of(here[at(m)].front());
+    });
+    if (limited) Levels(p, w, u, p.levels[at(m)]).set_last_starts(here[at(m)], out.last_start);
+    for (const int i : here[at(m)])
+      for (const int j : here[at(m)]) {
+        if (i == j) continue;
+        const auto slots = [&](const std::vector<Tick>& starts, const auto& act) {
+          const Pair pair(p, w, starts, i, j, shared);
+          for (int n = 0; n < p.jobs[at(i)]; ++n) act(pair, n, at(p.slot[at(i)] + n));
+        };
+        if (costs)
+          slots(w.e, [&](const Pair& pair, int n, std::size_t s) {
+            if (out.preempts[s] == 0 && pair.meets(n)) out.preempts[s] = 1;
+          });
+        const Tick work = work_of_blocker(p, j, m);
+        if (limited)
+          slots(out.last_start, [&](const Pair& pair, int n, std::size_t s) {
+            if (work > out.blocked_by[s] && pair.meets(n)) out.blocked_by[s] = work;
+          });
+      }
+    if (costs && p.any_urgent) charge_urgent(p, here[at(m)], w, u, out);
+  }
+}
+
+Tick work_of_blocker(const Problem& p, int xnode, int xpu) {
+  return p.wcet(xnode, xpu) + (p.preemptive[at(xpu)] != 0 ? p.preempt[at(xpu)] : 0);
+}
+
+}  // namespace xauto::solver::keys

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+// What solve() minimises: the mix, the largest, the sum.
+#include <algorithm>
+
+#include <gtest/gtest.h>
+
+#include "solver/keys/check.h"
+#include "solver/keys/solve.h"
+
+#include "keys_random.h"
+
+namespace xauto::solver::keys {
+namespace {
+
+TEST(KeysObjective, IsInPartsOfDeadlinesWhereThereAreAny) {
+  AppSpec app;
+  app.chains = {{"a", 0, 0, 100}, {"b", 0, 0, 40}, {"c", 0, 0, {}}};
+  app.chains[1].weight = 3;
+  const Totals parts = totals_of(app, {50, 10, 300});
+  EXPECT_DOUBLE_EQ(parts.largest, 0.5);             // c has no deadline
+  EXPECT_DOUBLE_EQ(parts.sum, 0.5 + 3 * 0.25 + 3);  // ... and counts by the largest one
+  for (ChainSpec& chain : app.chains) chain.deadline_us.reset();
+  const Totals us = totals_of(app, {50, 10, 300});
+  EXPECT_DOUBLE_EQ(us.largest, 300);
+  EXPECT_DOUBLE_EQ(us.sum, 50 + 30 + 300);
+}
+
+Figures figures(double largest, double sum, int moved = 0) {
+  Figures f;
+  f.valid = true;
+  f.largest = largest;
+  f.sum = sum;
+  f.moved = moved;
+  return f;
+}
+
+TEST(KeysObjective, OrdersPolicies) {
+  const Goal largest{true, false}, sum{true, true}, mix{true, true, 0.525};
+  EXPECT_TRUE(largest.better(figures(0.5, 9), figures(0.6, 1)));
+  EXPECT_TRUE(largest.better(figures(0.5, 1), figures(0.5, 9)));
+  EXPECT_TRUE(sum.better(figures(0.9, 1), figures(0.5, 2)));
+  EXPECT_TRUE(sum.better(figures(1.0, 9), figures(1.1, 1))) << "first of all no deadline is missed";
+  EXPECT_FALSE((Goal{false, true}).better(figures(1.0, 9), figures(1.1, 1)))
+      << "... that can be met";
+  EXPECT_TRUE(mix.better(figures(0.52, 1), figures(0.5, 2)));
+  EXPECT_TRUE(mix.better(figures(0.5, 2), figures(0.53, 1)));
+  EXPECT_TRUE(mix.better(figures(0.6, 2), figures(0.7, 1))) << "nearer to the limit";
+  EXPECT_TRUE(sum.better(figures(0.9, 9, 1), figures(0.5, 1, 2))) << "fewer moves";
+}
+
+struct Counted {
+  int apps = 0;
+  double largest = 0, sum = 0;  ///< of all apps, in parts of the same app's by kLargest
+};
+
+/// Random apps of which each chain has a deadline that can be met, by all three objectives.
+TEST(KeysObjective, TheMixIsNearTheLeastLargestAndBelowItsSum) {
+  Counted mix, sum;
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    solver::test::Dice dice(seed);
+    RatedShape shape;
+    shape.max_components = 4;
+    AppSpec app = random_rated_app(dice, shape);
+    const Platform platform = random_rated_platform(dice);
+    for (ChainSpec& chain : app.chains) chain.deadline_us = 60 + 40 * dice.roll(0, 5);
+    const auto solved = [&](Aim aim) {
+      Options options = brief(1500);
+      options.aim = aim;
+      auto answer = solve(app, platform, options);
+      EXPECT_TRUE(answer) << seed;
+      return std::move(answer).value();
+    };
+    const Answer by_largest = solved(Aim::kLargest);
+    if (by_largest.outcome != Outcome::kPolicy || by_largest.totals.largest > 1) continue;
+    for (const Aim aim : {Aim::kMix, Aim::kSum}) {
+      const Answer answer = solved(aim);
+      ASSERT_EQ(answer.outcome, Outcome::kPolicy) << seed;
+      EXPECT_TRUE(check(app, platform, answer.policy)) << seed;
+      EXPECT_LE(answer.totals.largest, 1) << seed;
+      EXPECT_LE(answer.bounds.largest, answer.totals.largest) << seed;
+      EXPECT_LE(answer.bounds.sum, answer.totals.sum * (1 + 1e-12)) << seed;
+      if (aim == Aim::kMix) {
+        // To a microsecond, since what is claimed is rounded.
+        EXPECT_LE(answer.totals.largest, kWithin * answer.least_largest + 1.0 / 60) << seed;
+      }
+      Counted& of = aim == Aim::kMix ? mix : sum;
+      ++of.apps;
+      of.largest += answer.totals.largest / by_largest.totals.largest;
+      of.sum += answer.totals.sum / by_largest.totals.sum;
+    }
+  }
+  ASSERT_GT(mix.apps, 20);
+  EXPECT_LT(mix.largest, 1.03 * mix.apps);
+  EXPECT_LT(mix.sum, 0.998 * mix.apps);
+  EXPECT_LE(sum.sum, mix.sum * 1.002);
+  EXPECT_GT(sum.largest, mix.largest);
+}
+
+TEST(KeysObjective, NoMixIsWorseThanItsHint) {
+  int asked = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    solver::test::Dice dice(seed);
+    RatedShape shape;
+    shape.max_components = 4;
+    AppSpec app = random_rated_app(dice, shape);
+    const Platform platform = random_rated_platform(dice);
+    for (ChainSpec& chain : app.chains) chain.deadline_us = 60 + 40 * dice.roll(0, 5);
+    Options options = brief(1500);
+    const auto before = solve(app, platform, options);
+    ASSERT_TRUE(before) << seed;
+    if (before->outcome != Outcome::kPolicy || before->totals.largest > 1) continue;
+    ++asked;
+    options.hint = &before->policy;
+    options.seed = 9;
+    for (const std::int64_t evaluations : {1, 40}) {
+      options.max_evaluations = evaluations;
+      const auto after = solve(app, platform, options);
+      ASSERT_TRUE(after && after->outcome == Outcome::kPolicy) << seed;
+      EXPECT_LE(after->totals.largest, 1) << seed;
+      // Unless a largest was found that puts the hint above the limit.
+      if (before->totals.largest <= kWithin * after->least_largest) {
+        EXPECT_LE(after->totals.sum, before->totals.sum * (1 + 1e-12)) << seed;
+      }
+    }
+  }
+  EXPECT_GT(asked, 15);
+}
+
+TEST(KeysObjective, TheSumDoesNotForgetDeadlines) {
+  // By the sum alone the short chains would go first, and the long one, which is urgent, late.
+  AppSpec app;
+  app.name = "urgent";
+  app.sources = {{"s", {100}}};
+  app.modules = {{"m"}};
+  app.xnodes.push_back({"long", "m", {{"cpu", 40}}, {0}});
+  app.chains.push_back({"long", 0, 0, 45});
+  for (int i = 1; i <= 4; ++i) {
+    const std::string name = "short" + std::to_string(i);
+    app.modules.push_back({name});
+    app.xnodes.push_back({name, name, {{"cpu", 5}}, {0}});
+    app.chains.push_back({name, 0, i, 80});
+  }
+  const Platform platform{"one", {{"cpu0", "cpu"}}};
+  for (const Aim aim : {Aim::kMix, Aim::kLargest, Aim::kSum}) {
+    Options options;
+    options.aim = aim;
+    options.max_evaluations = 600;
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer && answer->outcome == Outcome::kPolicy);
+    EXPECT_LE(answer->policy.chains[0].worst_case_us, 45) << static_cast<int>(aim);
+  }
+  // Where it cannot be met, the sum is what was asked for.
+  app.chains[0].deadline_us = 30;
+  Options options;
+  options.aim = Aim::kSum;
+  options.max_evaluations = 600;
+  const auto answer = solve(app, platform, options);
+  ASSERT_TRUE(answer && answer->outcome == Outcome::kPolicy);
+  EXPECT_GT(answer->bounds.largest, 1);
+  const Totals is = answer->totals;
+  EXPECT_NEAR(is.sum, (5 + 10 + 15 + 20) / 80.0 + 60 / 30.0, 0.2);
+}
+
+}  // namespace
+}  // namespace xauto::solver::keys
