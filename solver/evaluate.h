@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Evaluator: the makespan of one (assignment, priority order) after another, incrementally; each
-// XNode may also wait for one other XNode of its XPU (a pair of Policy::order).
+// XNode may also wait for one other XNode of its XPU (a pair of PriorityPlan::order).
 //
 // The same rule as simulate.cc (problem.h), written for the search: a candidate differs from the
 // committed schedule in a few XNodes, and nothing can differ before the first of these becomes

@@ -123,7 +123,7 @@ Status resolve(const Objectives& objectives, const AppSpec& app, const Platform&
 }
 
 std::vector<ChainOutcome> chain_outcomes(const Objectives& objectives, const AppSpec& app,
-                                         const Problem& problem, const Policy& policy) {
+                                         const Problem& problem, const PriorityPlan& policy) {
   const std::vector<Time> heads = static_heads(problem), least = least_wcet(problem);
   std::vector<ChainOutcome> outcomes;
   for (const ChainWish& chain : objectives.chains) {

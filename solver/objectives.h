@@ -51,6 +51,6 @@ enum class Feasibility { kNotAsked, kMet, kUnknown, kImpossible };
 
 [[nodiscard]] std::vector<ChainOutcome> chain_outcomes(const Objectives& objectives,
                                                        const AppSpec& app, const Problem& problem,
-                                                       const Policy& policy);
+                                                       const PriorityPlan& policy);
 
 }  // namespace xauto::solver

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // OrderedEvaluator: the makespan of schedules in which every XPU runs its XNodes in a fixed order,
-// one after the other, idle where it must (Policy::order). Its interface is that of Evaluator
+// one after the other, idle where it must (PriorityPlan::order). Its interface is that of Evaluator
 // (evaluate.h), so that one annealer serves both.
 //
 // The makespan is the longest path of the precedence graph plus the order of each XPU. All times in

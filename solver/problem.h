@@ -8,7 +8,7 @@
 //    is ready when its last predecessor has finished. XNode i on XPU m takes wcet(i, type(m)).
 //  * Each XPU runs at most one XNode at a time: the ready one of highest priority (larger = more
 //    urgent) among those on it that are eligible, i.e. whose run-time order predecessors
-//    (Policy::order) have finished. It never idles while an eligible one is ready.
+//    (PriorityPlan::order) have finished. It never idles while an eligible one is ready.
 //  * Preemptive XPU: a ready, eligible XNode of higher priority than the running one suspends it at
 //    once. The XNode that starts by preempting another occupies the XPU for preempt_us more (its
 //    own remaining time grows by preempt_us). Resuming a suspended XNode is free. The first start
@@ -32,7 +32,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
-#include "model/policy.h"
+#include "model/priority_plan.h"
 
 namespace xauto::solver {
 

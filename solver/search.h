@@ -36,9 +36,9 @@ struct StopWhen {
 
 struct Solution {
   std::vector<int> xpu;
-  std::vector<int> sequence;   ///< XNodes, most urgent first
-  Time makespan = kNever;      ///< or the cost, where Problem::goal asks for something else
-  bool ordered = false;        ///< every XPU keeps to the sequence (Policy::order), no preemption
+  std::vector<int> sequence;  ///< XNodes, most urgent first
+  Time makespan = kNever;     ///< or the cost, where Problem::goal asks for something else
+  bool ordered = false;  ///< every XPU keeps to the sequence (PriorityPlan::order), no preemption
   std::vector<int> waits_for;  ///< whom each XNode waits for on its XPU (evaluate.h); empty: nobody
 };
 

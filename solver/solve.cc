@@ -78,7 +78,7 @@ std::vector<Solution> starts(const Problem& problem, const Until& until) {
 /// Chains and deadlines of the finished policy; where one is missed, a last attempt to prove that
 /// it must be (a tenth of the time limit, on top of it).
 void account_for_deadlines(const AppSpec& app, const Problem& problem, const SolveOptions& options,
-                           const Policy& policy) {
+                           const PriorityPlan& policy) {
   if (options.report == nullptr) return;
   SolveReport& report = *options.report;
   report.chains = chain_outcomes(options.objectives, app, problem, policy);
@@ -139,10 +139,10 @@ Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decisio
 
 }  // namespace
 
-Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& problem,
-                   const Decision& decision, std::string method) {
+PriorityPlan make_policy(const AppSpec& app, const Platform& platform, const Problem& problem,
+                         const Decision& decision, std::string method) {
   const Simulation simulation = simulate(problem, decision);
-  Policy policy;
+  PriorityPlan policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.platform = platform.name;
@@ -156,7 +156,8 @@ Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& 
   return policy;
 }
 
-Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOptions& options) {
+Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
+                           const SolveOptions& options) {
   const auto began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(Problem problem, Problem::create(app, platform));
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
@@ -211,7 +212,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
     decision = settle_priorities(
         problem, decision.order.empty() ? decision : order_undisturbed(problem, decision),
         a_moment(problem, options));
-  Policy policy = make_policy(app, platform, problem, decision, options.method);
+  PriorityPlan policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
   // Where every XPU keeps an order, the latency is the longest path: certify.h.
   policy.worst_case_us =

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one entry to all methods: AppSpec + Platform -> Policy.
+// The one entry to all methods: AppSpec + Platform -> PriorityPlan.
 #pragma once
 
 #include <atomic>
@@ -55,13 +55,13 @@ struct SolveReport {
 /// and groups where the method knows none, for sources of several rates. A time limit is not an
 /// error: the best policy so far comes back with its bound, after at most 1.3 times the limit and a
 /// second more, whatever the size; a stop takes less than a second.
-[[nodiscard]] Result<Policy> solve(const AppSpec& app, const Platform& platform,
-                                   const SolveOptions& options);
+[[nodiscard]] Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
+                                         const SolveOptions& options);
 
-/// A Policy from a Decision: simulated, priorities as given, bound/optimal/worst case left to the
+/// A PriorityPlan from a Decision: simulated, priorities as given, bound/optimal/worst case left to the
 /// caller.
-[[nodiscard]] Policy make_policy(const AppSpec& app, const Platform& platform,
-                                 const Problem& problem, const Decision& decision,
-                                 std::string method);
+[[nodiscard]] PriorityPlan make_policy(const AppSpec& app, const Platform& platform,
+                                       const Problem& problem, const Decision& decision,
+                                       std::string method);
 
 }  // namespace xauto::solver

@@ -116,7 +116,7 @@ class TablesSearch {
       Loss loss;
       if (scenarios_[s].degraded) loss = least_loss_under(s, share_s / 2);
       XAUTO_ASSIGN(const int lossy, with(loss));
-      XAUTO_ASSIGN(const Policy policy,
+      XAUTO_ASSIGN(const PriorityPlan policy,
                    solve_under(s, loss, scenarios_[s].degraded ? share_s / 2 : share_s, {}));
       lossy_of_.push_back(lossy);
       bound_.push_back(std::max<Time>(1, policy.lower_bound_us));
@@ -124,7 +124,7 @@ class TablesSearch {
       TableCandidate candidate;
       candidate.loss = lossy;
       std::vector<Time> starts;
-      for (const Placement& p : policy.placements) {
+      for (const PriorityPlacement& p : policy.placements) {
         candidate.xpu.push_back(platform_.find(left.xpus[at(p.xpu)].id));
         starts.push_back(p.start_us);
       }
@@ -137,8 +137,8 @@ class TablesSearch {
   }
 
   /// What is left under scenario `s`, solved alone. `enough`: a worst case that needs no improvement.
-  Result<Policy> solve_under(std::size_t s, const Loss& loss, double seconds,
-                             std::optional<Time> enough) const {
+  Result<PriorityPlan> solve_under(std::size_t s, const Loss& loss, double seconds,
+                                   std::optional<Time> enough) const {
     std::atomic<bool> stop{false};
     SolveOptions solving;
     solving.certify = true;

@@ -30,7 +30,7 @@ std::string us(Us value) {
 
 class Check {
  public:
-  Check(const AppSpec& app, const Platform& platform, const Policy& policy,
+  Check(const AppSpec& app, const Platform& platform, const PriorityPlan& policy,
         const VerifyOptions& options)
       : app_(app),
 
@@ -39,7 +39,7 @@ class Check {
         world_(app, platform),
         kinds_(world_),
         engine_(options.seed) {
-    for (const Placement& p : policy.placements) {
+    for (const PriorityPlacement& p : policy.placements) {
       candidate_.xpu.push_back(p.xpu);
       candidate_.priority.push_back(p.priority);
     }
@@ -163,7 +163,7 @@ class Check {
     finish_ = e.finish;
     int wrong = 0;
     for (int i = 0; i < world_.n; ++i) {
-      const Placement& p = policy_.placements[at(i)];
+      const PriorityPlacement& p = policy_.placements[at(i)];
       if (p.start_us == e.start[at(i)] && p.finish_us == e.finish[at(i)]) continue;
       if (++wrong <= 5)
         lie("XNode '" + name(i) + "' is said to run from " + us(p.start_us) + " to " +
@@ -472,7 +472,7 @@ class Check {
 
   const AppSpec& app_;
 
-  const Policy& policy_;
+  const PriorityPlan& policy_;
   const VerifyOptions& options_;
   World world_;  ///< with what was asked for, instance by instance
   World kinds_;  ///< the same, but a kind of XPU is open to an XNode if one instance is
@@ -489,7 +489,7 @@ class Check {
 
 }  // namespace
 
-Verification verify(const AppSpec& app, const Platform& platform, const Policy& policy,
+Verification verify(const AppSpec& app, const Platform& platform, const PriorityPlan& policy,
                     const VerifyOptions& options) {
   for (const Status& status : {validate_graph(app), validate(platform), validate_on(app, platform),
                                validate(policy, app, platform)})

@@ -13,7 +13,7 @@
 #include <string>
 #include <vector>
 
-#include "model/policy.h"
+#include "model/priority_plan.h"
 #include "solver/objectives.h"
 
 namespace xauto::solver {
@@ -47,6 +47,6 @@ struct Verification {
 };
 
 [[nodiscard]] Verification verify(const AppSpec& app, const Platform& platform,
-                                  const Policy& policy, const VerifyOptions& options = {});
+                                  const PriorityPlan& policy, const VerifyOptions& options = {});
 
 }  // namespace xauto::solver

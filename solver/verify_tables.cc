@@ -13,9 +13,9 @@ namespace xauto::solver {
 namespace {
 
 /// A table as a policy of the scenario's app, with the times that it has there.
-Policy executed_under(const Table& table, const AppSpec& app, const Platform& platform,
-                      const Scenario& scenario) {
-  Policy policy = policy_under(table, app, platform, scenario);
+PriorityPlan executed_under(const Table& table, const AppSpec& app, const Platform& platform,
+                            const Scenario& scenario) {
+  PriorityPlan policy = policy_under(table, app, platform, scenario);
   const verification::World world(app_under(app, scenario, table.loss),
                                   platform_under(platform, scenario));
   verification::Candidate candidate;
@@ -49,9 +49,9 @@ void verify_changes(const AppSpec& app, const Platform& platform, const Tables& 
     const std::string name = "change from '" + tables.scenarios[at(change.from)].name + "' to '" +
                              tables.scenarios[at(change.to)].name + "': ";
     const Table& table = tables.tables[at(tables.serves[at(change.from)].table)];
-    const Policy placed = policy_under(table, app, platform, both);
+    const PriorityPlan placed = policy_under(table, app, platform, both);
     const bool lost = std::any_of(placed.placements.begin(), placed.placements.end(),
-                                  [](const Placement& p) { return p.xpu < 0; });
+                                  [](const PriorityPlacement& p) { return p.xpu < 0; });
     if (!change.worst_case_us) {
       ++without;
       continue;
@@ -60,7 +60,7 @@ void verify_changes(const AppSpec& app, const Platform& platform, const Tables& 
       all.lies.push_back(name + "a worst case, though its table needs an XPU that is lost");
       continue;
     }
-    Policy policy = executed_under(table, app, platform, both);
+    PriorityPlan policy = executed_under(table, app, platform, both);
     policy.worst_case_us = change.worst_case_us;
     const Verification v =
         verify(app_under(app, both, table.loss), platform_under(platform, both), policy, quick);
@@ -107,9 +107,9 @@ void verify_keys(const AppSpec& app, const Platform& platform, const Tables& tab
 
 /// Keys of a table with a claim for every chain of the app, since derive_handover looks at all of them.
 /// Where the table has none, no claim of a change is held against that one (validate).
-KeyPolicy keys_of_all(const Tables& tables, std::size_t table, const AppSpec& app,
-                      const Platform& platform) {
-  KeyPolicy keys = tables.keys[table];
+Policy keys_of_all(const Tables& tables, std::size_t table, const AppSpec& app,
+                   const Platform& platform) {
+  Policy keys = tables.keys[table];
   keys.app = app.name;
   const std::vector<int> xpus = xpus_on(platform, tables.tables[table], app);
   for (std::size_t i = 0; i < xpus.size(); ++i) keys.placements[i].xpu = xpus[i];
@@ -145,8 +145,8 @@ void verify_handovers(const AppSpec& app, const Platform& platform, const Tables
     }
     const AppSpec both =
         left(across(app, envelopes[at(claim.from)], envelopes[at(claim.to)]), at(claim.from));
-    KeyPolicy from = keys_of_all(tables, at(claim.from), app, whole),
-              to = keys_of_all(tables, at(claim.to), app, whole);
+    Policy from = keys_of_all(tables, at(claim.from), app, whole),
+           to = keys_of_all(tables, at(claim.to), app, whole);
     from.app_hash = under[at(claim.from)].hash();
     to.app_hash = under[at(claim.to)].hash();
     const auto proof = keys::derive_handover(
@@ -206,7 +206,7 @@ TablesVerification verify_tables(const AppSpec& app, const Platform& platform, c
     const Table& table = tables.tables[at(served.table)];
     const AppSpec left_app = app_under(app, scenario, table.loss);
     const Platform left = platform_under(platform, scenario);
-    Policy policy = executed_under(table, app, platform, scenario);
+    PriorityPlan policy = executed_under(table, app, platform, scenario);
     policy.lower_bound_us = served.lower_bound_us;
     policy.worst_case_us = served.worst_case_us;
     const Verification v = verify(left_app, left, policy, options);

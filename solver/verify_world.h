@@ -10,7 +10,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
-#include "model/policy.h"
+#include "model/priority_plan.h"
 
 namespace xauto::solver::verification {
 

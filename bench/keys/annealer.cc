@@ -209,7 +209,7 @@ class Annealer {
 
   /// Leaves the policy in policy_, and its cost in last_cost_.
   double evaluate_once(const State& s) {
-    policy_ = KeyPolicy{app_.name, app_hash_, platform_.name, "annealer", {}, {}, 0};
+    policy_ = Policy{app_.name, app_hash_, platform_.name, "annealer", {}, {}, 0};
     for (const ChainSpec& chain : app_.chains)
       policy_.chains.push_back({chain.name, kMaxTimeUs, 0, false});
     last_cost_ = kInvalid;
@@ -423,7 +423,7 @@ class Annealer {
   const std::string app_hash_;
   std::vector<char> charged_;    ///< [xnode] pays for a preemption
   std::vector<Ticks> ready_by_;  ///< [xnode] at the latest, after the release
-  KeyPolicy policy_;
+  Policy policy_;
   double last_cost_ = kInvalid;
   int tight_ = -1;     ///< XPU that the check refused; -1: none
   double growth_ = 0;  ///< of the last schedule: 0: it repeats
@@ -441,7 +441,7 @@ double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_u
   return app.has_deadlines() ? totals.largest : totals.sum;
 }
 
-double objective_of(const AppSpec& app, const KeyPolicy& policy) {
+double objective_of(const AppSpec& app, const Policy& policy) {
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);
   return objective_of(app, chain_us);

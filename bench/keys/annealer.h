@@ -9,14 +9,14 @@
 #include <optional>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "solver/keys/solve.h"
 
 namespace xauto::bench {
 
 struct Annealed {
-  std::optional<KeyPolicy> policy;  ///< its claims are what the check derives
+  std::optional<Policy> policy;  ///< its claims are what the check derives
   double first_ms = 0;
   std::int64_t evaluations = 0;
 };
@@ -27,6 +27,6 @@ struct Annealed {
 
 /// What it minimises: the largest worst case / deadline, where a chain has a deadline; else the weighted sum, in us.
 [[nodiscard]] double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us);
-[[nodiscard]] double objective_of(const AppSpec& app, const KeyPolicy& policy);
+[[nodiscard]] double objective_of(const AppSpec& app, const Policy& policy);
 
 }  // namespace xauto::bench

@@ -56,7 +56,7 @@ std::string solve_in_words(const RatedCase& made, const Asked& asked) {
   return said.dump();
 }
 
-std::vector<std::int64_t> worst_cases(const KeyPolicy& policy) {
+std::vector<std::int64_t> worst_cases(const Policy& policy) {
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);
   return chain_us;
@@ -110,7 +110,7 @@ Result<Child> solve_apart(const RatedCase& made, const Asked& asked) {
 }
 
 /// Largest of seen / claimed.
-double ratio_of(const Observed& seen, const KeyPolicy& ours) {
+double ratio_of(const Observed& seen, const Policy& ours) {
   double most = 0;
   for (std::size_t c = 0; c < ours.chains.size(); ++c)
     most = std::max(most, seen.longest_us[c] / static_cast<double>(ours.chains[c].worst_case_us));
@@ -124,7 +124,7 @@ bool misses(const AppSpec& app, const std::vector<double>& chain_us) {
   return false;
 }
 
-Status play_rivals(const RatedCase& made, const Asked& asked, const KeyPolicy& ours, Measured& m) {
+Status play_rivals(const RatedCase& made, const Asked& asked, const Policy& ours, Measured& m) {
   XAUTO_ASSIGN(const Observed own, observe(made.app, made.platform, ours, asked.plays));
   m.ours_ratio = ratio_of(own, ours);
   m.late = own.late;
@@ -171,8 +171,8 @@ Result<Measured> measure(const RatedCase& made, const Asked& asked) {
     m.annealer_evaluations = other.evaluations;
   }
   if (m.outcome != "policy") return m;
-  XAUTO_ASSIGN(const KeyPolicy ours, parse_key_policy(said.at("policy").text().value_or(""),
-                                                      made.name, app, made.platform));
+  XAUTO_ASSIGN(const Policy ours,
+               parse_policy(said.at("policy").text().value_or(""), made.name, app, made.platform));
   m.totals = keys::totals_of(app, worst_cases(ours));
   m.bounds = {said.at("largest_bound").number().value_or(0),
               said.at("sum_bound").number().value_or(0)};

@@ -59,14 +59,14 @@ Result<std::vector<std::int64_t>> fixed(const AppSpec& app, const Platform& plat
     once.xnodes.push_back({x.name, x.module, x.wcet_us});
     options.objectives.pins.emplace_back(x.name, platform.xpus[at(xpu[i])].id);
   }
-  XAUTO_ASSIGN(const Policy policy, solver::solve(once, platform, options));
+  XAUTO_ASSIGN(const PriorityPlan policy, solver::solve(once, platform, options));
   return ranks(app, [&](int a, int b) {
     return policy.placements[at(a)].priority > policy.placements[at(b)].priority;
   });
 }
 
 /// `policy` says where; nothing else of it is used.
-Result<Observed> play_all(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Result<Observed> play_all(const AppSpec& app, const Platform& platform, const Policy& policy,
                           const std::vector<std::int64_t>& rank, const Plays& plays) {
   const Components found = find_components(app).value();
   double jobs_a_second = 0, longest_s = 0;
@@ -103,14 +103,14 @@ Result<Observed> play_all(const AppSpec& app, const Platform& platform, const Ke
 }  // namespace
 
 Result<std::vector<Rival>> rivals(const AppSpec& app, const Platform& platform,
-                                  const KeyPolicy& ours) {
+                                  const Policy& ours) {
   const Components found = find_components(app).value();
   std::vector<double> period_us;
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     period_us.push_back(static_cast<double>(found.components[at(found.of[i])].period_ticks) /
                         static_cast<double>(found.ticks_per_us));
   std::vector<int> placed;
-  for (const KeyPlacement& p : ours.placements) placed.push_back(p.xpu);
+  for (const Placement& p : ours.placements) placed.push_back(p.xpu);
   const auto by_rate =
       ranks(app, [&](int a, int b) { return period_us[at(a)] < period_us[at(b)]; });
   XAUTO_ASSIGN(auto once, fixed(app, platform, placed));
@@ -131,15 +131,15 @@ Result<std::vector<Rival>> rivals(const AppSpec& app, const Platform& platform,
   return list;
 }
 
-Result<Observed> observe(const AppSpec& app, const Platform& platform, const KeyPolicy& ours,
+Result<Observed> observe(const AppSpec& app, const Platform& platform, const Policy& ours,
                          const Rival& rival, const Plays& plays) {
-  KeyPolicy placed = ours;
+  Policy placed = ours;
   for (std::size_t i = 0; i < rival.xpu.size(); ++i)
-    placed.placements[i] = KeyPlacement{rival.xpu[i], {1}};
+    placed.placements[i] = Placement{rival.xpu[i], {1}};
   return play_all(app, platform, placed, rival.rank, plays);
 }
 
-Result<Observed> observe(const AppSpec& app, const Platform& platform, const KeyPolicy& ours,
+Result<Observed> observe(const AppSpec& app, const Platform& platform, const Policy& ours,
                          const Plays& plays) {
   return play_all(app, platform, ours, {}, plays);
 }

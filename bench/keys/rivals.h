@@ -9,8 +9,8 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto::bench {
 
@@ -25,7 +25,7 @@ struct Rival {
 /// "rm": the shorter period first; "fcfs": who is ready first; "fastest": everybody on its fastest
 /// type, shorter periods first.
 [[nodiscard]] Result<std::vector<Rival>> rivals(const AppSpec& app, const Platform& platform,
-                                                const KeyPolicy& ours);
+                                                const Policy& ours);
 
 struct Observed {
   std::vector<double> longest_us;  ///< [chain] of all plays
@@ -41,10 +41,9 @@ struct Plays {
 
 /// What the player sees, with jitter, phases and drift.
 [[nodiscard]] Result<Observed> observe(const AppSpec& app, const Platform& platform,
-                                       const KeyPolicy& ours, const Rival& rival,
-                                       const Plays& plays);
+                                       const Policy& ours, const Rival& rival, const Plays& plays);
 /// Of our own keys.
 [[nodiscard]] Result<Observed> observe(const AppSpec& app, const Platform& platform,
-                                       const KeyPolicy& ours, const Plays& plays);
+                                       const Policy& ours, const Plays& plays);
 
 }  // namespace xauto::bench

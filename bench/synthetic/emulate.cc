@@ -23,7 +23,7 @@ Discipline discipline_of(const Xpu& xpu) {
 
 class Emulation {
  public:
-  Emulation(const AppSpec& app, const Platform& platform, const Policy& policy,
+  Emulation(const AppSpec& app, const Platform& platform, const PriorityPlan& policy,
             emu::Machine machine)
       : app_(app), platform_(platform), policy_(policy), machine_(std::move(machine)) {
     for (const Xpu& xpu : platform.xpus) {
@@ -102,7 +102,7 @@ class Emulation {
   }
 
   void start(int i, Nanos now) {
-    const Placement& placed = policy_.placements[at(i)];
+    const PriorityPlacement& placed = policy_.placements[at(i)];
     arbiters_[at(placed.xpu)].start(slot_[at(i)],
                                     {.xnode = static_cast<std::uint32_t>(i),
                                      .key = coord::key_of_priority(placed.priority),
@@ -127,7 +127,7 @@ class Emulation {
 
   const AppSpec& app_;
   const Platform& platform_;
-  const Policy& policy_;
+  const PriorityPlan& policy_;
   emu::Machine machine_;
   std::vector<Arbiter> arbiters_;          ///< [xpu]
   std::vector<std::vector<int>> members_;  ///< [xpu][slot]
@@ -141,7 +141,7 @@ class Emulation {
 
 }  // namespace
 
-Result<Emulated> emulate(const AppSpec& app, const Platform& platform, const Policy& policy) {
+Result<Emulated> emulate(const AppSpec& app, const Platform& platform, const PriorityPlan& policy) {
   XAUTO_ASSIGN(emu::Machine machine, emu::Machine::create(platform));
   return Emulation(app, platform, policy, std::move(machine)).run();
 }

@@ -7,7 +7,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
-#include "model/policy.h"
+#include "model/priority_plan.h"
 
 namespace xauto::bench {
 
@@ -18,6 +18,6 @@ struct Emulated {
 
 /// kUnavailable: an XPU has more XNodes than a coordinator has slots.
 [[nodiscard]] Result<Emulated> emulate(const AppSpec& app, const Platform& platform,
-                                       const Policy& policy);
+                                       const PriorityPlan& policy);
 
 }  // namespace xauto::bench

@@ -79,7 +79,7 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   };
   XAUTO_ASSIGN(const AppSpec read_app, parse_app(app_text, "app"));
   XAUTO_ASSIGN(const Platform read_platform, parse_platform(platform_text, "platform"));
-  XAUTO_ASSIGN(const Policy policy, solver::solve(read_app, read_platform, solving));
+  XAUTO_ASSIGN(const PriorityPlan policy, solver::solve(read_app, read_platform, solving));
   m.solve_s = std::chrono::duration<double>(Clock::now() - began).count();
   m.xauto = policy.latency_us;
   m.bound = policy.lower_bound_us;
@@ -91,7 +91,7 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   m.evaluations_per_s = static_cast<double>(report.evaluations) / std::max(m.solve_s, 1e-9);
 
   solver::Decision decision;
-  for (const Placement& p : policy.placements) {
+  for (const PriorityPlacement& p : policy.placements) {
     decision.xpu.push_back(p.xpu);
     decision.priority.push_back(p.priority);
   }
@@ -103,7 +103,7 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   solving.on_progress = nullptr;
   solving.report = nullptr;
   solving.time_limit_s = settings.time_limit_s / 4;
-  XAUTO_ASSIGN(const Policy unassigned,
+  XAUTO_ASSIGN(const PriorityPlan unassigned,
                solver::solve(fastest_only(app, platform), platform, solving));
   m.unassigned = unassigned.latency_us;
   return m;

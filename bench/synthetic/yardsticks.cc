@@ -85,7 +85,7 @@ Result<std::vector<Yardstick>> run_yardsticks(const AppSpec& app, const Platform
 
   solver::SolveOptions solving;
   solving.time_limit_s = limit_s;
-  XAUTO_ASSIGN(const Policy policy, solver::solve(app, platform, solving));
+  XAUTO_ASSIGN(const PriorityPlan policy, solver::solve(app, platform, solving));
   result.push_back({"XAuto, auto", true, policy.optimal ? "optimal" : "time limit",
                     policy.latency_us, static_cast<double>(policy.solve_ms) / 1000});
 

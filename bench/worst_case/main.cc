@@ -74,7 +74,7 @@ Status attack(const Flags& flags, int number, Totals& totals) {
   solving.certify = number / 42 % 2 == 0;
   if (number / 84 % 3 == 2) solving.method = "heft";
   solving.time_limit_s = flags.time_limit_s;
-  XAUTO_ASSIGN(const Policy policy, solver::solve(app, platform, solving));
+  XAUTO_ASSIGN(const PriorityPlan policy, solver::solve(app, platform, solving));
   if (!policy.worst_case_us)
     return fail(ErrorCode::kInternal, "a policy without worst_case_us", app.name);
 

@@ -58,8 +58,8 @@ Status RunOptions::Data::take_policy(runtime::Session& session) const {
     session.take_tables(std::move(tables));
     return {};
   }
-  XAUTO_ASSIGN(KeyPolicy made, text ? parse_key_policy(policy, where, session.app, session.platform)
-                                    : load_key_policy(policy, session.app, session.platform));
+  XAUTO_ASSIGN(Policy made, text ? parse_policy(policy, where, session.app, session.platform)
+                                 : load_policy(policy, session.app, session.platform));
   session.take_policy(std::move(made));
   return xpu::check_placements(session.app, session.platform, session.presence, session.policy,
                                where);

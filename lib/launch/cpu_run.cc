@@ -24,7 +24,7 @@ std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
   const std::vector<int> cpus = request.platform.instances_of("cpu");
   const std::size_t xnodes = request.app.xnodes.size();
   for (std::size_t i = 0; i < rows.size(); ++i) {
-    const Placement& placement = request.tables[i / xnodes]->placements[i % xnodes];
+    const PriorityPlacement& placement = request.tables[i / xnodes]->placements[i % xnodes];
     const auto cpu = std::find(cpus.begin(), cpus.end(), placement.xpu);
     if (cpu == cpus.end() || !request.real[static_cast<std::size_t>(*cpu)]) continue;
     const auto instance = static_cast<std::size_t>(cpu - cpus.begin());

@@ -14,7 +14,7 @@
 #include "kernel/scx_process.h"
 #include "model/app.h"
 #include "model/platform.h"
-#include "model/policy.h"
+#include "model/priority_plan.h"
 #include "session/session.h"
 
 namespace xauto::launch {
@@ -24,9 +24,9 @@ struct CpuRunRequest {
   std::string bin;  ///< folder of xauto-cpusched
   const AppSpec& app;
   const Platform& platform;
-  std::vector<const Policy*> tables;  ///< a row for each task; empty: nobody schedules
-  bool keys = false;                  ///< each job tells its own: a policy of keys
-  std::vector<bool> real;             ///< [XPU]; of the CPUs, those that the kernel schedules
+  std::vector<const PriorityPlan*> tables;  ///< a row for each task; empty: nobody schedules
+  bool keys = false;                        ///< each job tells its own: a policy of keys
+  std::vector<bool> real;                   ///< [XPU]; of the CPUs, those that the kernel schedules
   bool want_ext = false;
   /// A job's budget is its WCET times this; 0: no budgets. Only sched_ext enforces it.
   std::int64_t budget_pct = 0;

@@ -189,7 +189,7 @@ class Supervisor {
   /// The run's BPF maps and, if asked for, the sched_ext scheduler; what cannot be had is noted.
   void prepare_cpus(const std::string& run, bool scheduled) {
     Session& session = request_.session;
-    std::vector<const Policy*> tables;
+    std::vector<const PriorityPlan*> tables;
     for (std::size_t t = 0; scheduled && t < session.num_tables(); ++t)
       tables.push_back(&session.of_table(t));
     cpus_ = launch::prepare_cpus({.run = run,

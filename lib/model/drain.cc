@@ -27,7 +27,7 @@ std::int64_t least_period_us(const AppSpec& app) {
 
 }  // namespace
 
-std::int64_t drain_us(const AppSpec& app, const Platform& platform, const KeyPolicy& keys,
+std::int64_t drain_us(const AppSpec& app, const Platform& platform, const Policy& keys,
                       std::int64_t notice_us) {
   const auto found = find_components(app);
   if (!found) return 0;                                    // no app that is valid
@@ -40,7 +40,7 @@ std::int64_t drain_us(const AppSpec& app, const Platform& platform, const KeyPol
   std::vector<std::int64_t> arrives(found->components.size(), 0);  // their messages
   std::vector<std::set<int>> uses(found->components.size());       // XPUs
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
-    const KeyPlacement& placed = keys.placements[i];
+    const Placement& placed = keys.placements[i];
     const Xpu& xpu = platform.xpus[at(placed.xpu)];
     const std::size_t c = at(found->of[i]);
     const Component& component = found->components[c];
@@ -77,7 +77,7 @@ std::int64_t drain_us(const Tables& tables, int from, int to, const AppSpec& app
   const Table& table = tables.tables[at(from)];
   if ((change != nullptr && change->claims_all()) || needs_lost(table, platform, q)) return 0;
   const Platform all = platform_of_all(tables, platform);
-  KeyPolicy keys = tables.keys[at(from)];
+  Policy keys = tables.keys[at(from)];
   const std::vector<int> xpu = xpus_on(all, table, app);
   for (std::size_t i = 0; i < xpu.size(); ++i) keys.placements[i].xpu = xpu[i];
   return drain_us(app_of_all_chains(app_under(app, across(app, p, q)), table.loss), all, keys,

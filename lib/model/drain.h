@@ -13,7 +13,7 @@ namespace xauto {
 /// All jobs with nominal releases before an instant S have ended so long after it, if until `notice_us`
 /// before the release before S none was longer than `keys` allows, and then none longer than `app` has it.
 [[nodiscard]] std::int64_t drain_us(const AppSpec& app, const Platform& platform,
-                                    const KeyPolicy& keys, std::int64_t notice_us);
+                                    const Policy& keys, std::int64_t notice_us);
 
 /// Of a change between two tables of keys that claims nothing of some chain, and whose jobs need no XPU that
 /// is lost; 0: it does not drain.

@@ -18,7 +18,7 @@ std::int64_t entry(const std::vector<std::int64_t>& values, std::size_t j) {
 }  // namespace
 
 PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
-                                const KeyPolicy& policy) {
+                                const Policy& policy) {
   const std::size_t n = app.xnodes.size();
   PlannedStarts planned{std::vector<std::vector<std::int64_t>>(n),
                         std::vector<std::vector<std::int64_t>>(n)};
@@ -45,7 +45,7 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
   const auto follow = [&](bool held, const std::vector<std::int64_t>& by) {
     std::vector<std::vector<std::int64_t>> starts(n);
     for (const int i : topological) {
-      const KeyPlacement& placed = policy.placements[at(i)];
+      const Placement& placed = policy.placements[at(i)];
       // Sizes divide the activations of a hyperperiod, so what they come round in does, too.
       std::size_t size = std::max<std::size_t>(1, placed.hold_us.size());
       for (const std::size_t e : into[at(i)])

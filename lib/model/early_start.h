@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto {
 
@@ -22,6 +22,6 @@ struct PlannedStarts {
   std::vector<std::vector<std::int64_t>> urgent;
 };
 [[nodiscard]] PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
-                                              const KeyPolicy& policy);
+                                              const Policy& policy);
 
 }  // namespace xauto

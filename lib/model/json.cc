@@ -378,17 +378,16 @@ Result<Profile> load_profile(const std::string& path) {
   return profile;
 }
 
-Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,
-                                  const Platform& platform) {
+Result<Policy> load_policy(const std::string& path, const AppSpec& app, const Platform& platform) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
   Keys keys;
-  XAUTO_ASSIGN(KeyPolicy policy, parse_key_policy(text, path, app, platform, &keys));
+  XAUTO_ASSIGN(Policy policy, parse_policy(text, path, app, platform, &keys));
   XAUTO_TRY(judge(keys, path));
   return policy;
 }
 
-Result<KeyPolicy> load_key_hint(const std::string& path, const AppSpec& app,
-                                const Platform& platform) {
+Result<Policy> load_key_hint(const std::string& path, const AppSpec& app,
+                             const Platform& platform) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
   return parse_key_hint(text, path, app, platform);
 }

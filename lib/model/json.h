@@ -12,10 +12,10 @@
 
 #include "model/app.h"
 #include "model/emulation_script.h"
-#include "model/key_policy.h"
 #include "model/keys.h"
 #include "model/platform.h"
 #include "model/policy.h"
+#include "model/priority_plan.h"
 #include "model/profile.h"
 #include "model/tables.h"
 
@@ -35,13 +35,13 @@ inline constexpr std::int64_t kAppVersion = 3;
                                             Keys* keys = nullptr);
 /// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has
 /// passed.
-[[nodiscard]] Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
-                                                 const AppSpec& app, const Platform& platform,
-                                                 Keys* keys = nullptr);
+[[nodiscard]] Result<Policy> parse_policy(std::string_view text, std::string_view origin,
+                                          const AppSpec& app, const Platform& platform,
+                                          Keys* keys = nullptr);
 
 /// See load_key_hint.
-[[nodiscard]] Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
-                                               const AppSpec& app, const Platform& platform);
+[[nodiscard]] Result<Policy> parse_key_hint(std::string_view text, std::string_view origin,
+                                            const AppSpec& app, const Platform& platform);
 
 [[nodiscard]] Result<Scenarios> parse_scenarios(std::string_view text, std::string_view origin,
                                                 const AppSpec& app, const Platform& platform,
@@ -57,7 +57,7 @@ inline constexpr std::int64_t kAppVersion = 3;
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
 [[nodiscard]] std::string to_json(const Profile& profile);
-[[nodiscard]] std::string to_json(const KeyPolicy& policy, const AppSpec& app,
+[[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app,
                                   const Platform& platform);
 [[nodiscard]] std::string to_json(const Scenarios& scenarios);
 [[nodiscard]] std::string to_json(const EmulationScript& script);
@@ -71,10 +71,10 @@ inline constexpr std::int64_t kAppVersion = 3;
 /// A policy of an earlier version of the app, or for an earlier platform, to begin with: what can be
 /// said of the XNodes that are still there. One that was not, or was on an XPU that is gone, has
 /// xpu -1 and no keys. No claim is read, nothing else is validated.
-[[nodiscard]] Result<KeyPolicy> load_key_hint(const std::string& path, const AppSpec& app,
-                                              const Platform& platform);
-[[nodiscard]] Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,
-                                                const Platform& platform);
+[[nodiscard]] Result<Policy> load_key_hint(const std::string& path, const AppSpec& app,
+                                           const Platform& platform);
+[[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,
+                                         const Platform& platform);
 
 [[nodiscard]] Result<Scenarios> load_scenarios(const std::string& path, const AppSpec& app,
                                                const Platform& platform);

@@ -12,7 +12,7 @@ using namespace json_parts;
 
 namespace {
 
-void read_head(const Reader& root, KeyPolicy& policy) {
+void read_head(const Reader& root, Policy& policy) {
   root.expect("xauto.policy", kAppVersion, "solve again");
   policy.app = root["app"].text();
   policy.app_hash = root["app_hash"].text();
@@ -20,11 +20,10 @@ void read_head(const Reader& root, KeyPolicy& policy) {
   policy.method = root["method"].text();
 }
 
-/// What is left once all has been read; `keys` as in parse_key_policy.
-Result<KeyPolicy> accept(KeyPolicy policy, const Reader& root, const Reader::Context& context,
-                         const nlohmann::json& document, const AppSpec& app,
-                         const Platform& platform, const std::vector<std::size_t>& line_of,
-                         Keys* keys) {
+/// What is left once all has been read; `keys` as in parse_policy.
+Result<Policy> accept(Policy policy, const Reader& root, const Reader::Context& context,
+                      const nlohmann::json& document, const AppSpec& app, const Platform& platform,
+                      const std::vector<std::size_t>& line_of, Keys* keys) {
   if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
   Status valid = validate(policy, app, platform);
@@ -43,7 +42,7 @@ int read_xpu(const Reader& x, const Platform& platform) {
 }
 
 /// Its keys, and until when it is held; or a priority.
-void read_urgency(const Reader& x, KeyPlacement& p) {
+void read_urgency(const Reader& x, Placement& p) {
   if (!x.has("priority")) {
     if (!x.has("key_us")) return x.refuse("has neither \"key_us\" nor \"priority\"");
     p.key_us = read_series(x, "key_us", true);
@@ -81,7 +80,7 @@ std::vector<std::size_t> read_placements(const Reader& root, const AppSpec& app,
   return line_of;
 }
 
-void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
+void read_claims(const Reader& root, const AppSpec& app, Policy& policy) {
   policy.chains.resize(app.chains.size());
   each_chain(root, app, [&](std::size_t k, const Reader& c) {
     policy.chains[k] = {app.chains[k].name, c["worst_case_us"].time(), c["lower_bound_us"].time(),
@@ -93,17 +92,17 @@ void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
 
 }  // namespace
 
-Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
-                                   const AppSpec& app, const Platform& platform, Keys* keys) {
+Result<Policy> parse_policy(std::string_view text, std::string_view origin, const AppSpec& app,
+                            const Platform& platform, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
-  KeyPolicy policy;
+  Policy policy;
   read_head(root, policy);
   policy.placements.resize(app.xnodes.size());
   const std::vector<std::size_t> line_of =
       read_placements(root, app, index_by_name(app.xnodes), [&](std::size_t i, const Reader& x) {
-        KeyPlacement& p = policy.placements[i];
+        Placement& p = policy.placements[i];
         p.xpu = read_xpu(x, platform);
         read_urgency(x, p);
         if (p.priority) return;
@@ -123,12 +122,12 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
   return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
 }
 
-Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin, const AppSpec& app,
-                                 const Platform& platform) {
+Result<Policy> parse_key_hint(std::string_view text, std::string_view origin, const AppSpec& app,
+                              const Platform& platform) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
-  KeyPolicy policy;
+  Policy policy;
   read_head(root, policy);
   if (!root.failed() && policy.app != app.name)
     root["app"].refuse("is '" + policy.app + "', this is '" + app.name + "'",
@@ -138,7 +137,7 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
   std::vector<char> there(app.xnodes.size(), 0);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     const std::string name = x["name"].text(), xpu = x["xpu"].text();
-    KeyPlacement placed{platform.find(xpu)};
+    Placement placed{platform.find(xpu)};
     read_urgency(x, placed);
     if (x.failed()) return;
     placed.priority.reset();  // where it is, and no key
@@ -169,10 +168,10 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
   return policy;
 }
 
-std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform& platform) {
+std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform) {
   ordered_json xnodes = ordered_json::array();
   for (std::size_t i = 0; i < policy.placements.size(); ++i) {
-    const KeyPlacement& p = policy.placements[i];
+    const Placement& p = policy.placements[i];
     ordered_json xnode = {{"name", app.xnodes[i].name},
                           {"xpu", platform.xpus[static_cast<std::size_t>(p.xpu)].id}};
     if (p.priority)

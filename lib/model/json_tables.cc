@@ -132,7 +132,7 @@ Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& tab
 
 /// `keys`: what it says beyond where its XNodes are; null: it has priorities.
 Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
-                 const NameIndex& index, KeyPolicy* keys) {
+                 const NameIndex& index, Policy* keys) {
   Table table;
   if (keys != nullptr) keys->placements.resize(app.xnodes.size());
   table.name = x["name"].text();
@@ -152,7 +152,7 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
     const std::string id = off ? "" : placed["xpu"].text();
     const std::int64_t priority =
         keys != nullptr ? 0 : placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
-    KeyPlacement by_keys{platform.find(id)};
+    Placement by_keys{platform.find(id)};
     if (keys != nullptr) {
       by_keys.key_us = read_series(placed, "key_us", true);
       by_keys.hold_us = read_series(placed, "hold_us", false);
@@ -221,7 +221,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   tables.scenarios = read_scenarios(root);
   const NameIndex xnodes = index_by_name(app.xnodes);
   root["tables"].each_element(kMaxTables, [&](std::size_t, const Reader& x) {
-    KeyPolicy* const of_table = by_keys ? &tables.keys.emplace_back() : nullptr;
+    Policy* const of_table = by_keys ? &tables.keys.emplace_back() : nullptr;
     tables.tables.push_back(read_table(x, app, platform, xnodes, of_table));
   });
   XAUTO_TRY(context.status());
@@ -287,7 +287,7 @@ std::string to_json(const Scenarios& scenarios) {
 
 namespace {
 
-void put_keys(const KeyPlacement& keys, ordered_json& into) {
+void put_keys(const Placement& keys, ordered_json& into) {
   into["key_us"] = keys.key_us;
   if (!keys.hold_us.empty()) into["hold_us"] = keys.hold_us;
 }

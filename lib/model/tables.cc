@@ -89,11 +89,11 @@ AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss
   return app_with(app_under(app, scenario), loss);
 }
 
-Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
-                    const Scenario& scenario) {
+PriorityPlan policy_under(const Table& table, const AppSpec& app, const Platform& platform,
+                          const Scenario& scenario) {
   const AppSpec left_app = app_under(app, scenario, table.loss);
   const Platform left = platform_under(platform, scenario);
-  Policy policy;
+  PriorityPlan policy;
   policy.app = left_app.name;
   policy.app_hash = left_app.hash();
   policy.platform = left.name;
@@ -117,9 +117,9 @@ Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app) {
   return all.value_or(Scenario{});
 }
 
-KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
-                     const Platform& platform, const Scenario& scenario) {
-  KeyPolicy policy = tables.keys[table];
+Policy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
+                  const Platform& platform, const Scenario& scenario) {
+  Policy policy = tables.keys[table];
   const Loss& loss = tables.tables[table].loss;
   const Platform left = platform_with(platform_under(platform, scenario), loss.off);
   policy.app = app.name;
@@ -187,7 +187,7 @@ bool Handover::claims_all() const {
                      [](const auto& us) { return us.has_value(); });
 }
 
-std::vector<char> chains_of(const KeyPolicy& keys) {
+std::vector<char> chains_of(const Policy& keys) {
   std::vector<char> there;
   for (const ChainClaim& claim : keys.chains)
     there.push_back(claim.worst_case_us == kNotThere ? 0 : 1);
@@ -196,7 +196,7 @@ std::vector<char> chains_of(const KeyPolicy& keys) {
 
 std::vector<std::int64_t> largest_claims(const Tables& tables) {
   std::vector<std::int64_t> largest;
-  for (const KeyPolicy& keys : tables.keys) {
+  for (const Policy& keys : tables.keys) {
     largest.resize(keys.chains.size());
     for (std::size_t c = 0; c < largest.size(); ++c)
       largest[c] = std::max(largest[c], keys.chains[c].worst_case_us);
@@ -209,7 +209,7 @@ std::vector<std::int64_t> largest_claims(const Tables& tables) {
 
 void set_priorities(Tables& tables) {
   for (std::size_t t = 0; t < tables.keys.size(); ++t) {
-    const Policy by_keys = assignment_of(tables.keys[t]);
+    const PriorityPlan by_keys = assignment_of(tables.keys[t]);
     for (std::size_t i = 0; i < by_keys.placements.size(); ++i)
       tables.tables[t].priority[i] = by_keys.placements[i].priority;
   }
@@ -231,8 +231,8 @@ void set_figures(Tables& tables, const AppSpec& app) {
   }
 }
 
-Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
-                    const Platform& platform) {
+PriorityPlan whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
+                          const Platform& platform) {
   Table whole = tables.tables[table];
   const Table& first = tables.tables[at(tables.serves.front().table)];
   for (std::size_t i = 0; i < whole.xpu.size(); ++i) {

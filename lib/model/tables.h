@@ -10,9 +10,9 @@
 
 #include <xauto/result.h>
 
-#include "model/key_policy.h"
 #include "model/loss.h"
 #include "model/policy.h"
+#include "model/priority_plan.h"
 #include "model/scenario.h"
 
 namespace xauto {
@@ -20,8 +20,9 @@ namespace xauto {
 /// One policy without its times, which depend on the scenario.
 struct Table {
   std::string name;
-  std::vector<int> xpu;                ///< [xnode] index into Platform::xpus; -1: its module is off
-  std::vector<std::int64_t> priority;  ///< [xnode] as Placement::priority; of keys: assignment_of()
+  std::vector<int> xpu;  ///< [xnode] index into Platform::xpus; -1: its module is off
+  std::vector<std::int64_t>
+      priority;  ///< [xnode] as PriorityPlacement::priority; of keys: assignment_of()
   std::vector<std::pair<int, int>> order;
   Loss loss = {};  ///< none, unless all scenarios that it serves are degraded
   bool operator==(const Table&) const = default;
@@ -76,7 +77,7 @@ struct Tables {
   std::vector<Change> changes;  ///< all (from, to) of different scenarios, in that order; or none
   /// [table] keys and holds, also of what is off (app_with), and each chain's
   /// worst case in every scenario that the table serves, or kNotThere. Empty: the app releases one at a time, and tables have priorities.
-  std::vector<KeyPolicy> keys = {};
+  std::vector<Policy> keys = {};
   std::vector<Handover> handovers =
       {};                      ///< all (from, to) of different tables, in that order; or none
   std::int64_t notice_us = 0;  ///< they count on it that a job that takes too long is known by then
@@ -111,16 +112,16 @@ inline constexpr std::size_t kMaxTables = 100;
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss);
 /// A table as a policy of that app, without its times and claims: XPUs are indices into
 /// platform_under(). xpu -1: it uses an XPU that is lost.
-[[nodiscard]] Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
-                                  const Scenario& scenario);
+[[nodiscard]] PriorityPlan policy_under(const Table& table, const AppSpec& app,
+                                        const Platform& platform, const Scenario& scenario);
 
 /// What `table` is certified for: of each WCET the longest of the scenarios that it serves, and what any
 /// of them has lost.
 [[nodiscard]] Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app);
 /// The keys of a table as a policy of app_under(`scenario`, its loss), without its lower bounds: XPUs
 /// are indices into platform_with(platform_under()). xpu -1: it uses an XPU that is lost.
-[[nodiscard]] KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
-                                   const Platform& platform, const Scenario& scenario);
+[[nodiscard]] Policy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
+                                const Platform& platform, const Scenario& scenario);
 /// The platform with XPUs for what is off in some table, and [xnode] where a table has it there: changes
 /// from one table to another are about that.
 [[nodiscard]] Platform platform_of_all(const Tables& tables, const Platform& platform);
@@ -143,7 +144,7 @@ struct Objective {
 [[nodiscard]] const Change* change_of(const Tables& tables, int from, int to);
 [[nodiscard]] const Handover* handover_of(const Tables& tables, int from, int to);
 /// [chain] whether a table, of these keys, has it.
-[[nodiscard]] std::vector<char> chains_of(const KeyPolicy& keys);
+[[nodiscard]] std::vector<char> chains_of(const Policy& keys);
 /// Whether table `from` and table `to` both have the chain.
 [[nodiscard]] bool both_have(const Tables& tables, int from, int to, std::size_t chain);
 /// The table has an XNode on an XPU that the scenario has lost.
@@ -155,8 +156,8 @@ struct Objective {
 
 /// Table number `table` as a policy of the whole app, to be made at the start of a run. XNodes whose
 /// module is off there are where the table of the first scenario has them: they get no job.
-[[nodiscard]] Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
-                                  const Platform& platform);
+[[nodiscard]] PriorityPlan whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
+                                        const Platform& platform);
 
 /// What a run makes at its start: instances of XNodes, by variant and XPU, for all tables together.
 [[nodiscard]] std::size_t instances(const Tables& tables);

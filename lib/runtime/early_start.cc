@@ -19,7 +19,7 @@ bool EarlyStart::may_be(const Context& context) {
 }
 
 Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const Platform& platform,
-                                                     const KeyPolicy& policy) {
+                                                     const Policy& policy) {
   const std::size_t n = app.xnodes.size();
   XAUTO_ASSIGN(const Components components, find_components(app));
   auto made = std::unique_ptr<EarlyStart>(new EarlyStart(n, app.sources.size()));

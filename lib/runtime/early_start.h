@@ -22,8 +22,8 @@
 
 #include "model/app.h"
 #include "model/early_start.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "runtime/context.h"
 #include "runtime/grid.h"
 #include "runtime/urgency.h"
@@ -74,7 +74,7 @@ class EarlyStart {
   /// Of a policy that validate() takes.
   [[nodiscard]] static Result<std::unique_ptr<EarlyStart>> make(const AppSpec& app,
                                                                 const Platform& platform,
-                                                                const KeyPolicy& policy);
+                                                                const Policy& policy);
 
   /// What stands in the place of holds.
   [[nodiscard]] const PlannedStarts& planned_us() const { return planned_us_; }

@@ -34,11 +34,11 @@ FifoRange FifoRange::within(int highest) {
   return plan;
 }
 
-std::vector<int> FifoRange::by_rank(const Policy& policy) const {
+std::vector<int> FifoRange::by_rank(const PriorityPlan& policy) const {
   std::vector<int> fifo(policy.placements.size(), 0);
   for (std::size_t i = 0; i < fifo.size(); ++i) {
     std::set<std::int64_t> above;
-    for (const Placement& other : policy.placements)
+    for (const PriorityPlacement& other : policy.placements)
       if (other.xpu == policy.placements[i].xpu && other.priority > policy.placements[i].priority)
         above.insert(other.priority);
     fifo[i] = std::max(cpu_lowest, cpu_highest - static_cast<int>(above.size()));
@@ -46,13 +46,14 @@ std::vector<int> FifoRange::by_rank(const Policy& policy) const {
   return fifo;
 }
 
-std::string FifoRange::note(int highest, const Policy& policy, const std::vector<int>& cpus) const {
+std::string FifoRange::note(int highest, const PriorityPlan& policy,
+                            const std::vector<int>& cpus) const {
   if (none() || *this == FifoRange{}) return {};
   const auto levels = static_cast<std::size_t>(cpu_highest - cpu_lowest + 1);
   std::size_t sharing = 0;
   for (const int cpu : cpus) {
     std::set<std::int64_t> priorities;
-    for (const Placement& placement : policy.placements)
+    for (const PriorityPlacement& placement : policy.placements)
       if (placement.xpu == cpu) priorities.insert(placement.priority);
     if (priorities.size() > levels) sharing += priorities.size() - levels + 1;
   }

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "model/policy.h"
+#include "model/priority_plan.h"
 
 namespace xauto::runtime {
 
@@ -28,10 +28,10 @@ struct FifoRange {
 
   /// Of each XNode on a real CPU: the rank of its policy priority on its XPU, so that any number of
   /// policy priorities fits; the most urgent always gets the highest.
-  [[nodiscard]] std::vector<int> by_rank(const Policy& policy) const;
+  [[nodiscard]] std::vector<int> by_rank(const PriorityPlan& policy) const;
   /// For the report, where the range up to `highest` is smaller than a run would like; else empty.
   /// `cpus`: XPUs (indices) whose XNodes run by these priorities.
-  [[nodiscard]] std::string note(int highest, const Policy& policy,
+  [[nodiscard]] std::string note(int highest, const PriorityPlan& policy,
                                  const std::vector<int>& cpus) const;
 };
 

@@ -142,7 +142,7 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   placed.ends_chain = placing_.ends_chain[at_node] != 0;
   if (!context_.scheduled()) return placed;
   if (session.keys) {
-    const KeyPlacement& key = session.keys_of(table).placements[placed.xnode];
+    const Placement& key = session.keys_of(table).placements[placed.xnode];
     placed.urgency = Urgency::of_keys(key.key_us, key.hold_us, context_.grid.urgent_by_us[module]);
     if (early_)
       placed.urgency.plan_starts(early_->planned_us().ordinary[placed.xnode],

@@ -333,7 +333,7 @@ std::optional<Scheduling> scheduling_from(const std::string& name) {
   return std::nullopt;
 }
 
-void Session::take_policy(KeyPolicy made) {
+void Session::take_policy(Policy made) {
   policy = assignment_of(made);
   keys.reset();
   if (!made.by_priority()) keys = std::move(made);
@@ -410,7 +410,7 @@ Result<Session> parse_session(const std::string& text) {
     s.take_tables(std::move(tables));
     return s;
   }
-  XAUTO_ASSIGN(KeyPolicy policy, parse_key_policy(member("policy"), "session", s.app, s.platform));
+  XAUTO_ASSIGN(Policy policy, parse_policy(member("policy"), "session", s.app, s.platform));
   s.take_policy(std::move(policy));
   return s;
 }

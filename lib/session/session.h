@@ -16,9 +16,9 @@
 
 #include "model/app.h"
 #include "model/deployment.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
 #include "model/policy.h"
+#include "model/priority_plan.h"
 #include "model/tables.h"
 
 namespace xauto::runtime {
@@ -46,13 +46,13 @@ struct Session {
   AppSpec app;  ///< kRun
   Platform platform;
   /// kRun with kXAuto, kTimeshare; set by take_policy or take_tables: assignment_of() of what was taken.
-  Policy policy;
-  std::optional<KeyPolicy>
+  PriorityPlan policy;
+  std::optional<Policy>
       keys;  ///< what was taken, unless it has priorities; of tables that of the first
   /// Several policies, of which each release gets one (runtime/table_switch.h); then `policy` is that of
   /// the first scenario's table. With kXAuto; set by take_tables.
   std::optional<Tables> tables;
-  std::vector<Policy> by_table;  ///< [table]; empty: `policy` alone
+  std::vector<PriorityPlan> by_table;  ///< [table]; empty: `policy` alone
   Scheduling scheduling = Scheduling::kXAuto;
   CpuSched cpu_sched = CpuSched::kFifo;
   std::string cpu_run;                ///< the run's BPF maps (kernel/run_maps.h); empty: none
@@ -102,14 +102,14 @@ struct Session {
   int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
   int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
 
-  void take_policy(KeyPolicy made);
+  void take_policy(Policy made);
   void take_tables(Tables all);
   [[nodiscard]] std::size_t num_tables() const { return std::max<std::size_t>(1, by_table.size()); }
-  [[nodiscard]] const Policy& of_table(std::size_t table) const {
+  [[nodiscard]] const PriorityPlan& of_table(std::size_t table) const {
     return by_table.empty() ? policy : by_table[table];
   }
   /// Where there are `keys`.
-  [[nodiscard]] const KeyPolicy& keys_of(std::size_t table) const {
+  [[nodiscard]] const Policy& keys_of(std::size_t table) const {
     return tables ? tables->keys[table] : *keys;
   }
   /// Several policies of keys: a release has the table of its nominal instant.

@@ -162,13 +162,13 @@ std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story) {
   return Follower(app, story, std::move(*parts)).follow();
 }
 
-std::optional<ObservedWindow> window_of(const AppSpec& app, const KeyPolicy& keys,
-                                        const Story& story, const JobStory& job) {
+std::optional<ObservedWindow> window_of(const AppSpec& app, const Policy& keys, const Story& story,
+                                        const JobStory& job) {
   if (job.activation < 0) return std::nullopt;
   const Activation& activation = story.activations[at(job.activation)];
   const std::int64_t released_ns = activation.released_ns;
   if (released_ns <= 0) return std::nullopt;
-  const KeyPlacement& placed = keys.placements[at(job.xnode)];
+  const Placement& placed = keys.placements[at(job.xnode)];
   const auto of = [&](const std::vector<std::int64_t>& us) {
     return us.empty() ? 0 : us[static_cast<std::size_t>(job.sequence % us.size())] * 1000;
   };

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "model/app.h"
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "story/story.h"
 
 namespace xauto::story {
@@ -35,7 +35,7 @@ struct ObservedWindow {
   std::int64_t released_ns = 0, begin_ns = 0, key_ns = 0;
 };
 /// Nullopt: the trace does not tell its release.
-[[nodiscard]] std::optional<ObservedWindow> window_of(const AppSpec& app, const KeyPolicy& keys,
+[[nodiscard]] std::optional<ObservedWindow> window_of(const AppSpec& app, const Policy& keys,
                                                       const Story& story, const JobStory& job);
 
 }  // namespace xauto::story

@@ -10,7 +10,7 @@
 
 #include <xauto/result.h>
 
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "model/tables.h"
 #include "solver/simulate.h"
 #include "story/story.h"
@@ -45,7 +45,7 @@ struct Scene {
   std::vector<ModuleInfo> modules;
   std::vector<std::int64_t> priorities;  ///< by XNode; empty: none
   std::vector<solver::Slice> plan;       ///< of one release, from its beginning
-  const KeyPolicy* keys = nullptr;       ///< the run went by; null: by none
+  const Policy* keys = nullptr;          ///< the run went by; null: by none
   const Tables* tables = nullptr;        ///< likewise
   std::vector<ScenarioInfo> scenarios;   ///< empty: the run goes on
   std::vector<ChangeInfo> changes;       ///< likewise; the last ones

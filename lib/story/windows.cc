@@ -39,7 +39,7 @@ double step_us(double span_us) {
 
 class Picture {
  public:
-  Picture(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+  Picture(const AppSpec& app, const Platform& platform, const Policy& policy,
           const solver::keys::CheckReport& report)
       : app_(app),
         platform_(platform),
@@ -131,7 +131,7 @@ class Picture {
 
   void row(int c, int i, double span) {
     const Component& home = found_.components[at(c)];
-    const KeyPlacement& placed = policy_.placements[at(i)];
+    const Placement& placed = policy_.placements[at(i)];
     const std::string& name = app_.xnodes[at(i)].name;
     const std::string& xpu = platform_.xpus[at(placed.xpu)].id;
     const std::string& colour = colour_[app_.xnodes[at(i)].module];
@@ -189,7 +189,7 @@ class Picture {
 
   const AppSpec& app_;
   const Platform& platform_;
-  const KeyPolicy& policy_;
+  const Policy& policy_;
   const solver::keys::CheckReport& report_;
   const Components found_;
   std::map<std::string, std::string> colour_;  ///< by module
@@ -199,7 +199,7 @@ class Picture {
 
 }  // namespace
 
-std::string windows_svg(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+std::string windows_svg(const AppSpec& app, const Platform& platform, const Policy& policy,
                         const solver::keys::CheckReport& report) {
   return Picture(app, platform, policy, report).draw();
 }

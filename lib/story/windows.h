@@ -6,8 +6,8 @@
 #include <string>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "solver/keys/check.h"
 
 namespace xauto::story {
@@ -15,7 +15,7 @@ namespace xauto::story {
 /// A panel per clock, since between clocks nothing is at a fixed time: one hyperperiod of it, or as
 /// much as `kMostWindows` jobs. `report`: of this policy.
 [[nodiscard]] std::string windows_svg(const AppSpec& app, const Platform& platform,
-                                      const KeyPolicy& policy,
+                                      const Policy& policy,
                                       const solver::keys::CheckReport& report);
 
 inline constexpr std::int64_t kMostWindows = 600;

@@ -83,7 +83,7 @@ Result<std::vector<Presence>> presence_of(const Platform& platform, const Emulat
 }
 
 Status check_placements(const AppSpec& app, const Platform& platform,
-                        const std::vector<Presence>& presence, const Policy& policy,
+                        const std::vector<Presence>& presence, const PriorityPlan& policy,
                         const std::string& path) {
   const Hardware machine = Hardware::here();
   const char* hint =

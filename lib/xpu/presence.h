@@ -13,7 +13,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
-#include "model/policy.h"
+#include "model/priority_plan.h"
 #include "model/tables.h"
 #include "xpu/kind.h"
 
@@ -48,8 +48,8 @@ struct EmulationFlags {
 
 /// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
 [[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
-                                      const std::vector<Presence>& presence, const Policy& policy,
-                                      const std::string& path);
+                                      const std::vector<Presence>& presence,
+                                      const PriorityPlan& policy, const std::string& path);
 /// Of each table.
 [[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
                                       const std::vector<Presence>& presence, const Tables& tables,

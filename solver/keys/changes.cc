@@ -12,7 +12,7 @@ namespace xauto::solver::keys {
 namespace {
 
 /// Of keys that were certified for the same times.
-Result<Windows> windows_of(const Problem& p, const KeyPolicy& keys, const std::vector<int>& xpu) {
+Result<Windows> windows_of(const Problem& p, const Policy& keys, const std::vector<int>& xpu) {
   Windows w = keys_and_holds(p, keys);
   std::string why;
   if (!certify(p, xpu, w, &why))

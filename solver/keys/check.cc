@@ -37,14 +37,14 @@ Status compare(const ChainClaim& claim, ChainProof& proof) {
 
 }  // namespace checking
 
-Status check_places(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+Status check_places(const AppSpec& app, const Platform& platform, const Policy& policy) {
   if (policy.by_priority()) return validate(policy, app, platform);
   XAUTO_ASSIGN([[maybe_unused]] const checking::World w,
                checking::structure(app, platform, policy, false));
   return {};
 }
 
-Result<CheckReport> check(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Policy& policy) {
   if (!policy.certified)
     return fail(ErrorCode::kInvalid, "is not certified: it claims nothing that could be derived",
                 "policy", "`xauto solve` says what would make it certified");
@@ -59,7 +59,7 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Ke
     for (const checking::Window& window : windows) list.push_back({w.us(window.a), w.us(window.d)});
   }
   std::int64_t longest_us = 0;
-  for (const KeyPlacement& placed : policy.placements)
+  for (const Placement& placed : policy.placements)
     longest_us = std::max(longest_us, *std::ranges::max_element(placed.key_us));
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
     XAUTO_ASSIGN(XpuProof proof, checking::prove_load(w, static_cast<int>(m)));

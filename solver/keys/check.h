@@ -15,8 +15,8 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto::solver::keys {
 
@@ -63,11 +63,11 @@ struct CheckReport {
 
 /// kInvalid, too, of a policy that is not certified: it claims nothing that could follow.
 [[nodiscard]] Result<CheckReport> check(const AppSpec& app, const Platform& platform,
-                                        const KeyPolicy& policy);
+                                        const Policy& policy);
 
 /// What a policy states that is not certified: it is for this app, each XNode is where it can run, and its order leaves
 /// a way through. Nothing of times.
 [[nodiscard]] Status check_places(const AppSpec& app, const Platform& platform,
-                                  const KeyPolicy& policy);
+                                  const Policy& policy);
 
 }  // namespace xauto::solver::keys

@@ -318,7 +318,7 @@ void coarsen(World& w, std::int64_t scale) {
 }
 
 /// The same keys for an app that differs in times.
-KeyPolicy meant_for(KeyPolicy policy, const AppSpec& app) {
+Policy meant_for(Policy policy, const AppSpec& app) {
   policy.app = app.name;
   policy.app_hash = app.hash();
   return policy;
@@ -366,7 +366,7 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
   namespace own = checking::tables;
   XAUTO_TRY(own::check_input(tables, most_jobs));
   const AppSpec& app_from = tables.app_from;
-  const KeyPolicy from_both = own::meant_for(tables.from, tables.app_both);
+  const Policy from_both = own::meant_for(tables.from, tables.app_both);
   XAUTO_ASSIGN(checking::World p, checking::derive(app_from, tables.platform, tables.from));
   XAUTO_ASSIGN(checking::World q, checking::derive(tables.app_to, tables.platform, tables.to));
   XAUTO_ASSIGN(checking::World larger,

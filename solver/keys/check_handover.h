@@ -11,8 +11,8 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto::solver::keys {
 
@@ -22,8 +22,8 @@ struct TwoTables {
   const AppSpec& app_to;
   const AppSpec& app_both;
   const Platform& platform;
-  const KeyPolicy& from;  ///< p; its certificate holds (check.h)
-  const KeyPolicy& to;    ///< q, likewise
+  const Policy& from;  ///< p; its certificate holds (check.h)
+  const Policy& to;    ///< q, likewise
   std::int64_t notice_us = 0;
 };
 

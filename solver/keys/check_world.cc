@@ -57,7 +57,7 @@ std::string place(const World& w, int xnode, std::int64_t activation) {
 }
 
 /// Indices, so that nothing below reads beside an array. What the readers refuse is not repeated.
-Status check_indices(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+Status check_indices(const AppSpec& app, const Platform& platform, const Policy& policy) {
   if (app.sources.empty()) return invalid("no source", "app '" + app.name + "'");
   const std::size_t n = app.xnodes.size();
   if (n == 0) return invalid("no XNode", "app '" + app.name + "'");
@@ -96,7 +96,7 @@ Status check_indices(const AppSpec& app, const Platform& platform, const KeyPoli
   if (policy.placements.size() != n)
     return invalid(fmt::format("{} XNodes, the app has {}", policy.placements.size(), n), "policy");
   for (std::size_t i = 0; i < n; ++i) {
-    const KeyPlacement& p = policy.placements[i];
+    const Placement& p = policy.placements[i];
     const std::string where = "XNode '" + app.xnodes[i].name + "'";
     if (!in(p.xpu, platform.xpus.size())) return invalid("no XPU", where);
     const auto found = app.xnodes[i].wcet_us.find(platform.xpus[at(p.xpu)].type);
@@ -135,7 +135,7 @@ Status set_scale(World& w, bool fine) {
     longest = std::max({longest, s.offset_us, s.jitter_us, s.period.num / s.period.den + 1});
   }
   for (std::size_t i = 0; i < w.policy.placements.size(); ++i) {
-    const KeyPlacement& p = w.policy.placements[i];
+    const Placement& p = w.policy.placements[i];
     const Xpu& xpu = w.platform.xpus[at(p.xpu)];
     const std::int64_t wcet = w.app.xnodes[i].wcet_us.find(xpu.type)->second;
     longest = std::max({longest, wcet + xpu.preempt_us, std::ranges::max(p.key_us)});
@@ -368,14 +368,14 @@ Status set_windows(World& w) {
   const std::size_t n = w.app.xnodes.size();
   w.windows.resize(n);
   for (std::size_t i = 0; i < n; ++i) {
-    const KeyPlacement& p = w.policy.placements[i];
+    const Placement& p = w.policy.placements[i];
     auto& all = w.windows[i];
     all.resize(static_cast<std::size_t>(w.home(static_cast<int>(i)).classes));
     for (std::size_t j = 0; j < all.size(); ++j) all[j].d = p.key_us[j % p.key_us.size()] * w.scale;
   }
   for (const int i : w.order) {
     const Component& c = w.home(i);
-    const KeyPlacement& p = w.policy.placements[at(i)];
+    const Placement& p = w.policy.placements[at(i)];
     auto& all = w.windows[at(i)];
     Ticks ready = 0, early = 0;
     for (const int s : w.app.xnodes[at(i)].sources) {
@@ -449,7 +449,7 @@ Status set_urgent(World& w) {
     const auto& ordinary = w.windows[at(i)];
     auto& all = w.urgent[at(i)];
     all.resize(ordinary.size());
-    const KeyPlacement& p = w.policy.placements[at(i)];
+    const Placement& p = w.policy.placements[at(i)];
     for (std::size_t j = 0; j < all.size(); ++j) {
       Window& window = all[j];
       window.d = ordinary[j].d - c.urgent_by;
@@ -524,7 +524,7 @@ std::vector<std::int64_t> World::lags(int xnode, bool forward) const {
   return best;
 }
 
-Result<World> structure(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Result<World> structure(const AppSpec& app, const Platform& platform, const Policy& policy,
                         bool fine) {
   XAUTO_TRY(validate(app));
   XAUTO_TRY(validate(platform));
@@ -540,7 +540,7 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const KeyP
   return w;
 }
 
-Result<World> derive(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+Result<World> derive(const AppSpec& app, const Platform& platform, const Policy& policy) {
   XAUTO_ASSIGN(World w, structure(app, platform, policy, true));
   XAUTO_TRY(world::set_windows(w));
   XAUTO_TRY(world::set_urgent(w));

@@ -17,8 +17,8 @@
 
 #include "base/index.h"
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto::solver::keys::checking {
 
@@ -50,7 +50,7 @@ struct Component {
 struct World {
   const AppSpec& app;
   const Platform& platform;
-  const KeyPolicy& policy;
+  const Policy& policy;
   std::int64_t scale = 1;
   std::vector<Component> components;
   std::vector<int> component_of;  ///< [xnode]
@@ -116,8 +116,8 @@ inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 /// All but the windows, which only a policy has that holds. `fine`: in ticks in which drift, too, is
 /// exact, where they fit.
 [[nodiscard]] Result<World> structure(const AppSpec& app, const Platform& platform,
-                                      const KeyPolicy& policy, bool fine);
+                                      const Policy& policy, bool fine);
 [[nodiscard]] Result<World> derive(const AppSpec& app, const Platform& platform,
-                                   const KeyPolicy& policy);
+                                   const Policy& policy);
 
 }  // namespace xauto::solver::keys::checking

@@ -21,7 +21,7 @@ namespace {
 struct KeyTable {
   Scenario of;                 ///< the envelope
   std::size_t loss = 0;        ///< index into KeyTablesSearch::losses_
-  KeyPolicy policy;            ///< of what that leaves of the scenario's app, and its platform
+  Policy policy;               ///< of what that leaves of the scenario's app, and its platform
   double value = 0;            ///< of its worst cases, what is compared
   std::vector<double> regret;  ///< [scenario]
 };
@@ -191,7 +191,7 @@ class KeyTablesSearch {
     return forbids;
   }
 
-  [[nodiscard]] static std::vector<std::int64_t> worst_of(const KeyPolicy& policy) {
+  [[nodiscard]] static std::vector<std::int64_t> worst_of(const Policy& policy) {
     std::vector<std::int64_t> us;
     for (const ChainClaim& claim : policy.chains) us.push_back(claim.worst_case_us);
     return us;
@@ -211,7 +211,7 @@ class KeyTablesSearch {
   }
 
   [[nodiscard]] Result<Answer> solve_for(const Scenario& scenario, const Loss& loss, double seconds,
-                                         int threads, std::uint64_t seed, const KeyPolicy* hint,
+                                         int threads, std::uint64_t seed, const Policy* hint,
                                          const How& how = {}) const {
     Options solving;
     const Platform left = platform_for(scenario, loss);
@@ -352,11 +352,11 @@ class KeyTablesSearch {
     });
   }
 
-  void add(const Scenario& envelope, std::size_t loss, KeyPolicy policy) {
+  void add(const Scenario& envelope, std::size_t loss, Policy policy) {
     candidates_.push_back(table_for(envelope, loss, std::move(policy)));
   }
   [[nodiscard]] KeyTable table_for(const Scenario& envelope, std::size_t loss,
-                                   KeyPolicy policy) const {
+                                   Policy policy) const {
     KeyTable table{envelope, loss, std::move(policy)};
     table.value = value_of(of_all_chains(worst_of(table.policy), losses_[loss]));
     return table;
@@ -384,7 +384,7 @@ class KeyTablesSearch {
     std::vector<std::vector<int>> xpu;  // [candidate][XNode]
     for (const KeyTable& c : candidates_) {
       std::vector<int>& all = xpu.emplace_back();
-      for (const KeyPlacement& p : hint_for(c, {}).placements) all.push_back(on_platform(p.xpu));
+      for (const Placement& p : hint_for(c, {}).placements) all.push_back(on_platform(p.xpu));
     }
     return run_.fewer_instances(regrets(), xpu, choice);
   }
@@ -395,18 +395,18 @@ class KeyTablesSearch {
 
   /// Whether clocks share XPUs there although others have their own: no other policy was found for it.
   [[nodiscard]] bool is_together(const KeyTable& table) const {
-    const std::vector<KeyPlacement> placed = hint_for(table, {}).placements;
+    const std::vector<Placement> placed = hint_for(table, {}).placements;
     return std::any_of(forbids_.begin(), forbids_.end(), [&](const auto& forbid) {
       const int xpu = on_platform(placed[at(app_.find(forbid.first))].xpu);
       return xpu >= 0 && platform_.xpus[at(xpu)].id == forbid.second;
     });
   }
   /// The policy of a candidate on the platform that is left under another envelope.
-  [[nodiscard]] KeyPolicy hint_for(const KeyTable& table, const Scenario& envelope) const {
+  [[nodiscard]] Policy hint_for(const KeyTable& table, const Scenario& envelope) const {
     const Platform had = platform_for(table.of, losses_[table.loss]),
                    has = platform_for(envelope, losses_[table.loss]);
-    KeyPolicy hint = table.policy;
-    for (KeyPlacement& p : hint.placements)
+    Policy hint = table.policy;
+    for (Placement& p : hint.placements)
       if (p.xpu >= 0) p.xpu = has.find(had.xpus[at(p.xpu)].id);
     return hint;
   }
@@ -445,9 +445,9 @@ class KeyTablesSearch {
                                    static_cast<double>(tasks.size()));
     run_.on_threads(tasks.size(), [&](std::size_t k) {
       const Scenario envelope = join(tasks[k].group);
-      const KeyPolicy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
+      const Policy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
       const bool placed = std::any_of(hint.placements.begin(), hint.placements.end(),
-                                      [](const KeyPlacement& p) { return p.xpu >= 0; });
+                                      [](const Placement& p) { return p.xpu >= 0; });
       const KeyTable& from = candidates_[at(tasks[k].from)];
       tasks[k].result = solve_for(envelope, losses_[from.loss], slice, 1, tasks[k].seed,
                                   placed ? &hint : nullptr, {.together = is_together(from)});
@@ -610,7 +610,7 @@ class KeyTablesSearch {
       if (choice.serves[s] == replaced) group.push_back(static_cast<int>(s));
     const Scenario envelope = join(group);
     const std::size_t loss = candidates_[at(replaced)].loss;
-    const KeyPolicy hint = hint_for(candidates_[at(from)], envelope);
+    const Policy hint = hint_for(candidates_[at(from)], envelope);
     How as_before = how;
     as_before.together = is_together(candidates_[at(replaced)]);
     const auto answer = solve_for(envelope, losses_[loss], slice, 1, seed, &hint, as_before);
@@ -677,8 +677,8 @@ class KeyTablesSearch {
     set_priorities(tables);
     set_figures(tables, app_);
   }
-  void fill(const KeyTable& candidate, Table& table, KeyPolicy& keys) const {
-    for (const KeyPlacement& p : hint_for(candidate, {}).placements) {  // on the whole platform
+  void fill(const KeyTable& candidate, Table& table, Policy& keys) const {
+    for (const Placement& p : hint_for(candidate, {}).placements) {  // on the whole platform
       table.xpu.push_back(on_platform(p.xpu));
       keys.placements.push_back({table.xpu.back(), p.key_us, p.hold_us});
     }

@@ -79,11 +79,11 @@ OneRelease behind(const AppSpec& app, const Problem& p, int to, const Objectives
 }
 
 /// On each XPU one after the other, as they start in the plan; each ends when its longest way is over.
-void put_in_sequence(const Problem& p, KeyPolicy& policy, const Policy& plan) {
+void put_in_sequence(const Problem& p, Policy& policy, const PriorityPlan& plan) {
   std::vector<int> all(plan.placements.size());
   std::iota(all.begin(), all.end(), 0);
   std::stable_sort(all.begin(), all.end(), [&](int a, int b) {
-    const Placement &one = plan.placements[at(a)], &other = plan.placements[at(b)];
+    const PriorityPlacement &one = plan.placements[at(a)], &other = plan.placements[at(b)];
     return std::tie(one.start_us, one.finish_us) < std::tie(other.start_us, other.finish_us);
   });
   std::map<int, int> last_on;
@@ -130,18 +130,18 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
   if (keeps_order) add_deadlines(app, p, whole.wishes);
   options.objectives = std::move(whole.wishes);
   options.certify = keeps_order;
-  XAUTO_ASSIGN(const Policy plan, solver::solve(whole.app, platform, options));
+  XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(whole.app, platform, options));
   // Nobody hears before the latest of the roots.
   const Tick late =
       p.up_to_us(*std::max_element(p.root_ready.begin(), p.root_ready.end())) / p.scale;
   ReleasePlan found;
-  KeyPolicy& policy = found.policy;
+  Policy& policy = found.policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.platform = platform.name;
   policy.method = plan.method;
   policy.order = plan.order;
-  for (const Placement& placed : plan.placements)
+  for (const PriorityPlacement& placed : plan.placements)
     policy.placements.push_back({placed.xpu, {placed.finish_us + late}});
   if (!keeps_order) put_in_sequence(p, policy, plan);
   const Tick first = *std::min_element(p.root_ready.begin(), p.root_ready.end());
@@ -151,7 +151,7 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
 
 Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
                           const SolveOptions& options) {
-  XAUTO_ASSIGN(const Policy plan, solver::solve(app, platform, options));
+  XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(app, platform, options));
   return Baseline{by_priorities(plan, app), plan.latency_us};
 }
 
@@ -169,7 +169,7 @@ Tick one_release_bound(const AppSpec& app, const Platform& platform, const Probl
   Tick earliest = 0;
   OneRelease part = behind(app, p, to, options.objectives, earliest);
   options.objectives = std::move(part.wishes);
-  const Result<Policy> plan = solver::solve(part.app, platform, options);
+  const Result<PriorityPlan> plan = solver::solve(part.app, platform, options);
   return plan ? earliest + plan->lower_bound_us * p.scale : 0;
 }
 

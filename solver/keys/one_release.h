@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // One release of everything, as a start for the search of keys: where all XNodes are released together, the plan of
-// solver/solve.h is a policy of keys. Each key is a finish, and its order pairs are KeyPolicy::order (docs/keys.md,
+// solver/solve.h is a policy of keys. Each key is a finish, and its order pairs are Policy::order (docs/keys.md,
 // "Order"). Where releases do not meet its worst case is that policy's.
 #pragma once
 
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "solver/keys/problem.h"
 #include "solver/objectives.h"
 #include "solver/solve.h"
@@ -13,7 +13,7 @@
 namespace xauto::solver::keys {
 
 struct ReleasePlan {
-  KeyPolicy policy;
+  Policy policy;
   /// Of the latest end of any chain, proven: no policy of keys has it earlier. 0: not known.
   Tick bound = 0;
 };
@@ -25,7 +25,7 @@ struct ReleasePlan {
 
 /// "heft", "local": what a plan of one release by that method is as a policy of priorities, of which nothing is claimed.
 struct Baseline {
-  KeyPolicy policy;
+  Policy policy;
   /// From the first start to the last end, each job at its WCET, no other release beside, transfers in no time.
   std::int64_t release_us = 0;
 };

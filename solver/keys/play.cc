@@ -330,7 +330,7 @@ class Play {
     released_[at(component)] = {n, now_};
     for (const int i : c.xnodes) {
       const Atoms sooner = urgent && w_.hears_urgent[at(i)] ? c.urgent_by * kMillion : 0;
-      const KeyPlacement& p = w_.policy.placements[at(i)];
+      const Placement& p = w_.policy.placements[at(i)];
       const std::size_t j = static_cast<std::size_t>(n) % p.key_us.size();
       Job job;
       job.key = now_ + atoms(p.key_us[j]) - sooner;
@@ -397,7 +397,7 @@ class Play {
     const std::int64_t n = done_[at(x)];
     const auto& [last, when] = released_[at(w_.component_of[at(x)])];
     const Component& c = w_.home(x);
-    const KeyPlacement& p = w_.policy.placements[at(x)];
+    const Placement& p = w_.policy.placements[at(x)];
     if (n <= last) {
       const Job& job = jobs_[at(x)].front();
       return {now_, job.key};
@@ -594,11 +594,11 @@ class Play {
 namespace {
 
 /// By its priorities. Its keys are those of nobody: no job is late.
-Result<PlayReport> play_priorities(const AppSpec& app, const Platform& platform, KeyPolicy policy,
+Result<PlayReport> play_priorities(const AppSpec& app, const Platform& platform, Policy policy,
                                    PlayOptions options) {
   XAUTO_TRY(validate(policy, app, platform));
   options.rank.clear();
-  for (KeyPlacement& placed : policy.placements) {
+  for (Placement& placed : policy.placements) {
     options.rank.push_back(-*placed.priority);
     placed.priority.reset();
     placed.key_us = {kMaxPeriodUs};
@@ -608,7 +608,7 @@ Result<PlayReport> play_priorities(const AppSpec& app, const Platform& platform,
 
 }  // namespace
 
-Result<PlayReport> play(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Result<PlayReport> play(const AppSpec& app, const Platform& platform, const Policy& policy,
                         const PlayOptions& options) {
   if (policy.by_priority()) return play_priorities(app, platform, policy, options);
   XAUTO_ASSIGN(const checking::World w, checking::structure(app, platform, policy, false));
@@ -625,7 +625,7 @@ Result<PlayReport> play(const AppSpec& app, const Platform& platform, const KeyP
   for (const Xpu& x : platform.xpus) longest = std::max(longest, x.preempt_us);
   for (const TransferSpec& t : app.transfers) longest = std::max(longest, t.transfer_us);
   for (const checking::Ticks t : w.wcet) longest = std::max(longest, w.us_up(t));
-  for (const KeyPlacement& p : policy.placements)
+  for (const Placement& p : policy.placements)
     for (const auto* times : {&p.key_us, &p.hold_us})
       for (const std::int64_t t : *times) longest = std::max(longest, t);
   if (options.seconds < 1 || longest > (std::int64_t{1} << 59) / checking::kMillion / w.scale)

@@ -19,8 +19,8 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto::solver::keys {
 
@@ -71,6 +71,6 @@ struct PlayReport {
 };
 
 [[nodiscard]] Result<PlayReport> play(const AppSpec& app, const Platform& platform,
-                                      const KeyPolicy& policy, const PlayOptions& options);
+                                      const Policy& policy, const PlayOptions& options);
 
 }  // namespace xauto::solver::keys

@@ -183,7 +183,7 @@ struct Problem {
 
   /// kInvalid: what `validate` refuses, times too long for 64 bits, too many
   /// ways for a chain, an order that is a cycle or of XNodes that are not released together; kInfeasible: pins and forbids leave
-  /// nothing for an XNode. `order`: KeyPolicy::order, which the policies of this problem have.
+  /// nothing for an XNode. `order`: Policy::order, which the policies of this problem have.
   [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform,
                                               const Objectives& wishes = {},
                                               const std::vector<std::pair<int, int>>& order = {});

@@ -173,9 +173,9 @@ bool Search::over() const {
          (limits_.max_evaluations > 0 && evaluator_.evaluations() >= limits_.max_evaluations);
 }
 
-bool Search::fits(const KeyPolicy& hint) const {
+bool Search::fits(const Policy& hint) const {
   for (int i = 0; i < p_.num_xnodes; ++i) {
-    const KeyPlacement& placed = hint.placements[at(i)];
+    const Placement& placed = hint.placements[at(i)];
     const std::size_t size = placed.key_us.size();
     const auto is_time = [&](std::int64_t us) { return us >= 0 && us <= kMostTicks / p_.scale; };
     if (!std::ranges::binary_search(p_.may_run[at(i)], placed.xpu) || size == 0 ||
@@ -194,7 +194,7 @@ bool Search::fits(const KeyPolicy& hint) const {
 
 /// First the hint as it is, if it is certified. Then what the rule makes of its keys, with its arrays and holds
 /// and without.
-void Search::begin_with(const KeyPolicy& hint,
+void Search::begin_with(const Policy& hint,
                         const std::function<void(const Candidate&)>& on_better) {
   Candidate c;
   c.decision = from_hint(hint);
@@ -221,11 +221,11 @@ void Search::begin_with(const KeyPolicy& hint,
   take(c, on_better);
 }
 
-Decision Search::from_hint(const KeyPolicy& hint) {
+Decision Search::from_hint(const Policy& hint) {
   Decision d = constructed(balancing_weights(p_), kGreeds[0], 0, true);
   const std::vector<int> built = d.xpu;
   for (int i = 0; i < p_.num_xnodes; ++i) {
-    const KeyPlacement& placed = hint.placements[at(i)];
+    const Placement& placed = hint.placements[at(i)];
     const auto& may = p_.may_run[at(i)];
     if (std::binary_search(may.begin(), may.end(), placed.xpu)) d.xpu[at(i)] = placed.xpu;
     if (placed.key_us.empty()) continue;
@@ -650,13 +650,13 @@ void Search::anneal(std::int64_t steps, double hot,
   }
 }
 
-void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
+void Search::run(const SearchLimits& limits, const Policy* hint, Keep keep,
                  const std::function<void(const Candidate&)>& on_better) {
   limits_ = limits;
   keep_ = hint == nullptr ? Keep::kNothing : keep;
   home_.clear();
   if (hint != nullptr) {
-    for (const KeyPlacement& placed : hint->placements) home_.push_back(placed.xpu);
+    for (const Placement& placed : hint->placements) home_.push_back(placed.xpu);
     begin_with(*hint, on_better);
   }
   still_ = keep_ == Keep::kMost;

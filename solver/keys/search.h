@@ -6,7 +6,7 @@
 #include <functional>
 #include <vector>
 
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "solver/keys/evaluate.h"
 #include "solver/keys/problem.h"
 #include "solver/random.h"
@@ -89,17 +89,17 @@ class Search {
   Search(const Problem& problem, const std::vector<Tick>& reference, Aim aim, std::uint64_t seed);
 
   /// Constructs, then anneals from the best until the limits. `hint` may be null.
-  void run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
+  void run(const SearchLimits& limits, const Policy* hint, Keep keep,
            const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] const Incumbents& found() const { return found_; }
   [[nodiscard]] std::int64_t evaluations() const { return evaluator_.evaluations(); }
 
  private:
   /// Whether the policy says for every job where it runs, by when, and in a way that fits this app.
-  [[nodiscard]] bool fits(const KeyPolicy& hint) const;
-  void begin_with(const KeyPolicy& hint, const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] bool fits(const Policy& hint) const;
+  void begin_with(const Policy& hint, const std::function<void(const Candidate&)>& on_better);
   /// A decision from a policy's placements, its latest keys in ticks. Whoever has none is constructed.
-  [[nodiscard]] Decision from_hint(const KeyPolicy& hint);
+  [[nodiscard]] Decision from_hint(const Policy& hint);
   [[nodiscard]] bool over() const;
   /// Whether the least of the largest has been looked for long enough.
   [[nodiscard]] bool may_sum() const;

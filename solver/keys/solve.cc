@@ -70,8 +70,8 @@ bool predict(const Problem& p, const std::vector<int>& xpu, const Windows& w, Sc
   return Exhibitor(p, std::make_shared<Exhibitor::Scratch>()).run(0, rule, schedule, until);
 }
 
-KeyPlacement placement(const Problem& p, const Candidate& c, bool predicted, int i) {
-  KeyPlacement placed;
+Placement placement(const Problem& p, const Candidate& c, bool predicted, int i) {
+  Placement placed;
   placed.xpu = c.decision.xpu[at(i)];
   bool held = false;
   for (int n = 0; n < p.jobs[at(i)]; ++n) {
@@ -91,9 +91,9 @@ KeyPlacement placement(const Problem& p, const Candidate& c, bool predicted, int
   return placed;
 }
 
-KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem& p,
-                    const Candidate& c, bool predicted, const std::vector<std::int64_t>& bounds) {
-  KeyPolicy policy;
+Policy policy_of(const AppSpec& app, const Platform& platform, const Problem& p, const Candidate& c,
+                 bool predicted, const std::vector<std::int64_t>& bounds) {
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.platform = platform.name;
@@ -109,12 +109,12 @@ KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem&
   return policy;
 }
 
-Status check_hint(const KeyPolicy& hint, Keep keep, const AppSpec& app, const Problem& p) {
+Status check_hint(const Policy& hint, Keep keep, const AppSpec& app, const Problem& p) {
   if (hint.placements.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "it places another number of XNodes", "hint",
                 "take a policy for this app");
   if (std::all_of(hint.placements.begin(), hint.placements.end(),
-                  [](const KeyPlacement& placed) { return placed.xpu < 0; }))
+                  [](const Placement& placed) { return placed.xpu < 0; }))
     return fail(ErrorCode::kInvalid, "it places none of the app's XNodes on an XPU that is there",
                 "hint", "take a policy for this app and platform");
   if (keep != Keep::kPlacement) return {};
@@ -152,7 +152,7 @@ void add_all(const std::vector<Incumbents>& from, Incumbents& to) {
 /// A policy to begin with, whose order stays.
 struct Seed {
   Problem problem;
-  KeyPolicy policy;
+  Policy policy;
 };
 struct Seeds {
   std::vector<Seed> seeds;
@@ -165,11 +165,11 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
   Seeds found;
   std::vector<Seed>& seeds = found.seeds;
   if (!options.order) return found;
-  const auto add = [&](const KeyPolicy& policy) {
+  const auto add = [&](const Policy& policy) {
     Result<Problem> with = Problem::create(app, platform, options.wishes, policy.order);
     if (with) seeds.push_back({std::move(*with), policy});
   };
-  const KeyPolicy* hint = options.hint;
+  const Policy* hint = options.hint;
   if (hint != nullptr && !hint->order.empty() && check_hint(*hint, Keep::kPlacement, app, p))
     add(*hint);
   if (options.keep != Keep::kNothing) return found;
@@ -218,7 +218,7 @@ struct Round {
   double first_ms = 0;
 
   /// `limits`: of each thread, but for evaluations: those are of all threads.
-  Incumbents search(const Problem& p, const std::vector<Tick>& reference, const KeyPolicy* hint,
+  Incumbents search(const Problem& p, const std::vector<Tick>& reference, const Policy* hint,
                     Keep keep, const SearchLimits& limits) {
     const std::int64_t budget = limits.max_evaluations;
     const int threads = std::clamp(options.threads, 1, kMostThreads);
@@ -385,7 +385,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
       const Until around{
           later(std::chrono::steady_clock::now(), std::min(kAroundOnlyPlanS, kForPlans * limit)),
           options.stop};
-      const KeyPolicy* from = options.hint != nullptr ? options.hint : &seed->policy;
+      const Policy* from = options.hint != nullptr ? options.hint : &seed->policy;
       Incumbents free = round.search(p, reference, from, Keep::kNothing,
                                      {around, to_finish, options.max_evaluations, around, {}});
       if (free.any() && found.add(free.best())) seed = nullptr;

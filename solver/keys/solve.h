@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The entry: AppSpec + Platform -> KeyPolicy with a certificate, a proof that
+// The entry: AppSpec + Platform -> Policy with a certificate, a proof that
 // there is none, or "unknown".
 #pragma once
 
@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "solver/keys/search.h"
 #include "solver/keys/sustain.h"
 #include "solver/objectives.h"
@@ -46,10 +46,10 @@ struct Options {
   /// such a plan are its ends, and its order stays. HEFT and "local" have priorities: baseline() in one_release.h.
   std::string method = "auto";
   Objectives wishes;  ///< pins, forbids and groups
-  bool order = true;  ///< policies may have KeyPolicy::order; tables have no place for it
+  bool order = true;  ///< policies may have Policy::order; tables have no place for it
   /// Where to begin; proven again before it is certified. May be of an earlier version of the app:
   /// xpu -1 for an XNode that it does not know.
-  const KeyPolicy* hint = nullptr;
+  const Policy* hint = nullptr;
   Keep keep = Keep::kNothing;
 };
 
@@ -69,7 +69,7 @@ enum class Outcome {
 
 struct Answer {
   Outcome outcome = Outcome::kUnknown;
-  KeyPolicy policy;        ///< kPolicy
+  Policy policy;           ///< kPolicy
   OverloadProof overload;  ///< kUnsustainable
   /// [chain] where no policy was found, too.
   std::vector<std::int64_t> lower_bound_us;

@@ -31,8 +31,8 @@ std::int64_t shorter(std::int64_t us, std::int64_t percent) {
 
 /// Units by falling load, each to the XPU that is least loaded with it; an activation's keys are a period after the
 /// longest ways of what comes before.
-KeyPolicy constructed(const Problem& p) {
-  KeyPolicy policy;
+Policy constructed(const Problem& p) {
+  Policy policy;
   policy.placements.resize(at(p.num_xnodes));
   const auto rate = [&](const std::vector<int>& unit, int m) {
     double sum = 0;
@@ -114,7 +114,7 @@ class LeastLate {
     // The newest was searched for longest, or is for the longest jobs.
     std::ranges::reverse(candidates_);
     candidates_.push_back(constructed(p));
-    for (const KeyPolicy& candidate : candidates_)
+    for (const Policy& candidate : candidates_)
       if (found_.policy.placements.empty() || !over()) offer(candidate);
     found_.policy.app = app_.name;
     found_.policy.app_hash = app_.hash();
@@ -206,13 +206,13 @@ class LeastLate {
   }
 
   /// Plays it, and takes it if it is less late than the best so far.
-  void offer(KeyPolicy policy) {
+  void offer(Policy policy) {
     policy.certified = false;
     policy.app = usual_.name;
     policy.app_hash = usual_.hash();
     policy.chains.clear();
     bool bare = policy.order.empty();
-    for (KeyPlacement& placed : policy.placements) {
+    for (Placement& placed : policy.placements) {
       placed.start_us.clear();
       placed.finish_us.clear();
       bare = bare && placed.hold_us.empty();
@@ -220,11 +220,11 @@ class LeastLate {
     judge(policy);
     if (bare) return;
     policy.order.clear();
-    for (KeyPlacement& placed : policy.placements) placed.hold_us.clear();
+    for (Placement& placed : policy.placements) placed.hold_us.clear();
     judge(policy);
   }
 
-  void judge(const KeyPolicy& policy) {
+  void judge(const Policy& policy) {
     PlayOptions asked;
     asked.seconds = found_.seconds;
     asked.jitter = asked.phases = asked.urgent = true;
@@ -246,7 +246,7 @@ class LeastLate {
   const Options& options_;
   const AppSpec usual_;
   TimePoint deadline_;
-  std::vector<KeyPolicy> candidates_;
+  std::vector<Policy> candidates_;
   Uncertified found_;
   Lateness late_;
 };

@@ -24,7 +24,7 @@ struct XpuLoad {
 };
 
 struct Uncertified {
-  KeyPolicy policy;                  ///< not certified
+  Policy policy;                     ///< not certified
   std::optional<PlayReport> played;  ///< for `seconds`, at usual times; none: it cannot be played
   std::int64_t seconds = 0;
   std::vector<XpuLoad> load;  ///< [xpu] by the policy
@@ -44,7 +44,7 @@ struct Uncertified {
 struct Certifies {
   Outcome outcome = Outcome::kUnknown;
   bool late = false;  ///< kPolicy: it misses a deadline
-  KeyPolicy policy;   ///< kPolicy
+  Policy policy;      ///< kPolicy
 };
 [[nodiscard]] Result<Certifies> certifies(const AppSpec& app, const Platform& platform,
                                           const Options& options, bool in_time);

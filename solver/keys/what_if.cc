@@ -15,7 +15,7 @@ constexpr std::int64_t kMostPercent = 10'000;
 constexpr double kLeastMoveS = 0.05,
                  kMostMoveS = 0.5;  // below, a search finds little; above, little more
 
-Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const KeyPolicy& begin,
+Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const Policy& begin,
                    std::string change, Options options) {
   options.hint = &begin;
   options.on_progress = nullptr;
@@ -52,7 +52,7 @@ Result<AppSpec> with_period(const AppSpec& app, int source, Period period) {
   return changed;
 }
 
-Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const Policy& policy,
                       const std::string& text, const Options& options) {
   const auto refuse = [&](const char* what) {
     return fail(ErrorCode::kInvalid, what, "'" + text + "'", "SOURCE=HZ, TYPE=PERCENT% or +TYPE");
@@ -96,10 +96,10 @@ Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const KeyPol
   return ask(changed, platform, policy, name + " at " + value + " Hz", options);
 }
 
-Result<Moves> moves(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Result<Moves> moves(const AppSpec& app, const Platform& platform, const Policy& policy,
                     const std::vector<int>& xnodes, const Options& options) {
   std::vector<int> served(platform.xpus.size(), 0);
-  for (const KeyPlacement& p : policy.placements) ++served[static_cast<std::size_t>(p.xpu)];
+  for (const Placement& p : policy.placements) ++served[static_cast<std::size_t>(p.xpu)];
   std::vector<std::pair<int, int>> elsewhere;  // XNode, XPU
   for (const int i : xnodes) {
     const XNodeSpec& xnode = app.xnodes[static_cast<std::size_t>(i)];
@@ -125,7 +125,7 @@ Result<Moves> moves(const AppSpec& app, const Platform& platform, const KeyPolic
       ++made.untried;
       continue;
     }
-    KeyPolicy moved = policy;
+    Policy moved = policy;
     moved.placements[static_cast<std::size_t>(i)].xpu = x;
     auto answer = ask(app, platform, moved,
                       app.xnodes[static_cast<std::size_t>(i)].name + " on " +

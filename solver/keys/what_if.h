@@ -23,7 +23,7 @@ struct WhatIf {
 /// `text`: SOURCE=HZ (as `rate_hz`), TYPE=PERCENT% (all WCETs there), or +TYPE (one more like the
 /// first of them). The search begins with `policy`. kInvalid: none of these.
 [[nodiscard]] Result<WhatIf> assume(const AppSpec& app, const Platform& platform,
-                                    const KeyPolicy& policy, const std::string& text,
+                                    const Policy& policy, const std::string& text,
                                     const Options& options);
 
 struct Moves {
@@ -36,7 +36,7 @@ struct Moves {
 /// it may run on, of equal ones that serve nobody only one. What is pinned, forbidden, or not with its group is no
 /// move. `options.time_limit_s` is of all together.
 [[nodiscard]] Result<Moves> moves(const AppSpec& app, const Platform& platform,
-                                  const KeyPolicy& policy, const std::vector<int>& xnodes,
+                                  const Policy& policy, const std::vector<int>& xnodes,
                                   const Options& options);
 
 }  // namespace xauto::solver::keys

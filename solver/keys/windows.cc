@@ -232,11 +232,11 @@ Tick lost_in(Tick distance, std::int64_t ppm) {
   return ppm == 0 ? 0 : in_fast_time(distance, ppm) - distance + 1;
 }
 
-Windows keys_and_holds(const Problem& p, const KeyPolicy& policy) {
+Windows keys_and_holds(const Problem& p, const Policy& policy) {
   Windows w;
   for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
   for (int i = 0; i < p.num_xnodes; ++i) {
-    const KeyPlacement& placed = policy.placements[at(i)];
+    const Placement& placed = policy.placements[at(i)];
     const std::size_t size = placed.key_us.size();
     for (int n = 0; n < p.jobs[at(i)]; ++n) {
       w.d[p.slot_of(i, n)] = placed.key_us[at(n) % size] * p.scale;

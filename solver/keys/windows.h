@@ -11,7 +11,7 @@
 
 #include <vector>
 
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "solver/keys/problem.h"
 
 namespace xauto::solver::keys {
@@ -24,7 +24,7 @@ struct Windows {
 };
 
 /// Keys and holds of a policy for this app; `a` and `e` are 0. Its arrays divide the activations.
-[[nodiscard]] Windows keys_and_holds(const Problem& problem, const KeyPolicy& policy);
+[[nodiscard]] Windows keys_and_holds(const Problem& problem, const Policy& policy);
 /// Fills `a` and `e` of the domain from d and hold.
 void derive_ready(const Problem& problem, int domain, const std::vector<int>& xpu, Windows& w);
 

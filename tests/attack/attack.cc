@@ -58,7 +58,7 @@ struct Path {
 
 class World {
  public:
-  World(const AppSpec& app, const Platform& platform, const KeyPolicy& policy, Early early)
+  World(const AppSpec& app, const Platform& platform, const Policy& policy, Early early)
       : app_(app), platform_(platform), policy_(policy), early_(early) {
     for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
     const std::size_t n = app.xnodes.size();
@@ -114,7 +114,7 @@ class World {
       for (const ModuleSpec& m : app.modules)
         if (m.name == app.xnodes[i].module) states = m.max_in_flight;
       states_.push_back(states);
-      const KeyPlacement& p = policy.placements[i];
+      const Placement& p = policy.placements[i];
       wcet_.push_back(atoms(app.xnodes[i].wcet_us.find(platform.xpus[at(p.xpu)].type)->second));
     }
     for (const SourceSpec& s : app.sources) {
@@ -154,7 +154,7 @@ class World {
   /// The planned start: no sooner by the proof. Of what its XNode waits for, with transfers; holds of whoever hears an
   /// urgent release are sooner.
   [[nodiscard]] Atoms planned(std::size_t i, std::int64_t k, bool urgent) const {
-    const KeyPlacement& p = policy_.placements[i];
+    const Placement& p = policy_.placements[i];
     Atoms start = 0, sooner = 0;
     for (const int s : app_.xnodes[i].sources)
       start = std::max(start,
@@ -204,7 +204,7 @@ class World {
 
   const AppSpec& app_;
   const Platform& platform_;
-  const KeyPolicy& policy_;
+  const Policy& policy_;
   Early early_;
   std::int64_t scale_ = 1;
   std::vector<int> group_;                   ///< [xnode] least XNode of its component
@@ -243,7 +243,7 @@ class Run {
       const auto count = static_cast<std::int64_t>(f_.run[i].size());
       jobs_[i].resize(at(count));
       gone_[i].assign(at(count), static_cast<int>(w_.mates_[i].size()));
-      const KeyPlacement& p = w_.policy_.placements[i];
+      const Placement& p = w_.policy_.placements[i];
       for (std::int64_t k = 0; k < count; ++k) {
         Job& job = jobs_[i][at(k)];
         const Atoms release = w_.nominal(i, k, f_);
@@ -531,7 +531,7 @@ class Climb {
     // Long enough for every pattern of windows, every chain, and a few periods of each component.
     std::int64_t span = 0, jobs = 0;
     for (std::size_t i = 0; i < w_.wcet_.size(); ++i) {
-      const KeyPlacement& p = w_.policy_.placements[i];
+      const Placement& p = w_.policy_.placements[i];
       span = std::max(span, w_.period(i) * (static_cast<std::int64_t>(p.key_us.size()) + 4));
       span = std::max(span, 3 * std::ranges::max(p.key_us) * w_.scale_);
     }
@@ -600,7 +600,7 @@ class Climb {
       default: {
         // Two releases, or a key and a release, at one instant.
         const auto i = at(dice_.roll(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
-        const KeyPlacement& p = w_.policy_.placements[i];
+        const Placement& p = w_.policy_.placements[i];
         f.phase[clock] = w_.nominal(i, dice_.roll(3), f) +
                          (dice_.coin() ? 0 : w_.atoms(p.key_us[0]) - w_.wcet_[i]);
         f.phase[clock] -= dice_.roll(4) * longest * kMillion;
@@ -724,7 +724,7 @@ class Climb {
 
 }  // namespace
 
-Found attack(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Found attack(const AppSpec& app, const Platform& platform, const Policy& policy,
              const Options& options) {
   const World w(app, platform, policy, options.early);
   return Climb(w, options).go();

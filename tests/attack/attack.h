@@ -10,8 +10,8 @@
 #include <string>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto::attack {
 
@@ -42,7 +42,7 @@ struct Found {
 };
 
 /// The app is one that the readers accept; ends early once something is broken.
-[[nodiscard]] Found attack(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+[[nodiscard]] Found attack(const AppSpec& app, const Platform& platform, const Policy& policy,
                            const Options& options);
 
 }  // namespace xauto::attack

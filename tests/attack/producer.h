@@ -13,7 +13,7 @@
 
 #include "base/index.h"
 #include "model/components.h"
-#include "model/key_policy.h"
+#include "model/policy.h"
 #include "solver/keys/check.h"
 #include "solver/random.h"
 
@@ -26,7 +26,7 @@ using solver::keys::CheckReport;
 struct Case {
   AppSpec app;
   Platform platform;
-  KeyPolicy policy;
+  Policy policy;
 };
 
 struct Wanted {
@@ -177,7 +177,7 @@ inline bool widen(Case& c, double factor, std::int64_t extra) {
         if (at(t.edge) == e) transfer = t.transfer_us;
       ready[i] = std::max(ready[i], key[at(u)] + transfer);
     }
-    KeyPlacement& p = c.policy.placements[i];
+    Placement& p = c.policy.placements[i];
     const std::int64_t wcet = *c.app.xnodes[i].wcet_on(c.platform.xpus[at(p.xpu)].type);
     key[i] = ready[i] + extra + static_cast<std::int64_t>(factor * static_cast<double>(wcet));
     p.key_us = {key[i]};
@@ -203,7 +203,7 @@ inline void add_order(Case& c, std::uint64_t seed) {
   const auto n = static_cast<int>(c.app.xnodes.size());
   for (int u = 0; u < n; ++u)
     for (int v = 0; v < n; ++v) {
-      const KeyPlacement &a = c.policy.placements[at(u)], &b = c.policy.placements[at(v)];
+      const Placement &a = c.policy.placements[at(u)], &b = c.policy.placements[at(v)];
       if (u == v || a.xpu != b.xpu || a.key_us[0] > b.key_us[0] || random.below(3) == 0 ||
           !released_together(*parts, parts->of[at(u)], parts->of[at(v)]))
         continue;
@@ -211,7 +211,7 @@ inline void add_order(Case& c, std::uint64_t seed) {
       c.policy.order.emplace_back(u, v);
       // Room for v behind u, where there is none.
       const std::int64_t wcet = *c.app.xnodes[at(v)].wcet_on(c.platform.xpus[at(b.xpu)].type);
-      KeyPlacement& late = c.policy.placements[at(v)];
+      Placement& late = c.policy.placements[at(v)];
       late.key_us[0] = std::max(late.key_us[0], a.key_us[0] + wcet);
       if (!claim_what_follows(c)) c = before;
     }
@@ -227,11 +227,11 @@ inline std::optional<Case> valid(std::uint64_t seed, const Wanted& wanted) {
       if (wanted.holds) {
         Random random(seed + 5);
         for (std::size_t i = 0; i < wide.app.xnodes.size(); ++i) {
-          KeyPlacement& p = wide.policy.placements[i];
+          Placement& p = wide.policy.placements[i];
           const std::int64_t wcet = *wide.app.xnodes[i].wcet_on(wide.platform.xpus[at(p.xpu)].type);
           const std::int64_t slack = p.key_us[0] - wcet;
           if (slack > 1 && random.below(2) == 0) {
-            KeyPlacement before = p;
+            Placement before = p;
             p.hold_us = {static_cast<std::int64_t>(random.unit() * static_cast<double>(slack))};
             if (!claim_what_follows(wide)) p = before;
           }
@@ -265,9 +265,9 @@ void tighten(Case& c, std::uint64_t seed, bool arrays, const Judge& judge) {
   };
   if (arrays)
     for (std::size_t i = 0; i < c.app.xnodes.size(); ++i) {
-      KeyPlacement& p = c.policy.placements[i];
+      Placement& p = c.policy.placements[i];
       for (const std::size_t size : {6u, 4u, 3u, 2u}) {
-        const KeyPlacement before = p;
+        const Placement before = p;
         p.key_us.assign(size, p.key_us[0]);
         if (!p.hold_us.empty()) p.hold_us.assign(size, p.hold_us[0]);
         if (accepted(c)) break;

@@ -52,16 +52,15 @@ std::string name_of(const std::string& id) {
 /// The solver's plan of one release, with priorities by period, the shortest first (rate-monotonic): an
 /// XNode counts by the slowest source that it waits for. Those of one period stay as they are among
 /// themselves. It claims nothing.
-Result<KeyPolicy> fixed_priorities(const AppSpec& app, const Platform& platform,
-                                   double time_limit_s) {
+Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform, double time_limit_s) {
   solver::SolveOptions options;
   options.time_limit_s = time_limit_s;
   options.threads = 2;
   options.priorities_only = true;
-  XAUTO_ASSIGN(const Policy plan, solver::solve(app, platform, options));
+  XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(app, platform, options));
   XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
   solver::Decision decision;
-  for (const Placement& p : plan.placements) {
+  for (const PriorityPlacement& p : plan.placements) {
     decision.xpu.push_back(p.xpu);
     decision.priority.push_back(p.priority);
   }
@@ -75,12 +74,12 @@ Result<KeyPolicy> fixed_priorities(const AppSpec& app, const Platform& platform,
                    [&](int a, int b) { return period(a) < period(b); });
   auto priority = static_cast<std::int64_t>(sequence.size());
   for (const int i : sequence) decision.priority[static_cast<std::size_t>(i)] = priority--;
-  Policy policy = solver::make_policy(app, platform, problem, decision, plan.method);
+  PriorityPlan policy = solver::make_policy(app, platform, problem, decision, plan.method);
   policy.solve_ms = plan.solve_ms;
   return by_priorities(policy, app);
 }
 
-Result<KeyPolicy> solved(const CompareFlags& flags, const std::string& id) {
+Result<Policy> solved(const CompareFlags& flags, const std::string& id) {
   if (id == "fixed") return fixed_priorities(flags.app, flags.spec, flags.time_limit_s);
   if (id == "heft" || id == "local") {
     solver::SolveOptions plan;
@@ -106,7 +105,7 @@ Result<KeyPolicy> solved(const CompareFlags& flags, const std::string& id) {
 
 /// `ours`: XAuto's policy, solved once for the runs with and without scheduling.
 Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
-                          std::optional<KeyPolicy>& ours, Outputs& outputs) {
+                          std::optional<Policy>& ours, Outputs& outputs) {
   PolicyRun run;
   run.id = id;
   run.name = name_of(id);
@@ -116,7 +115,7 @@ Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
   }
   const bool of_xauto = id == "xauto" || id == "xauto-unscheduled";
   if (id == "xauto-unscheduled") run.scheduling = runtime::Scheduling::kTimeshare;
-  KeyPolicy policy;
+  Policy policy;
   if (of_xauto && ours) {
     policy = *ours;
   } else {
@@ -144,7 +143,7 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
   XAUTO_TRY(outputs.expect("--out", timeline_path));
 
   std::vector<PolicyRun> runs;
-  std::optional<KeyPolicy> ours;
+  std::optional<Policy> ours;
   bool good = true;
   const StopOnSignal stop;
   for (const std::string& id : flags.policies) {

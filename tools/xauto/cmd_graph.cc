@@ -26,9 +26,9 @@ Result<int> graph(const GraphFlags& flags, const Options& options) {
   story::GraphPlaces places;
   if (!flags.policy.empty()) {
     XAUTO_ASSIGN(platform, load_platform(flags.platform));
-    XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(flags.policy, app, platform));
+    XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
     places.platform = &platform;
-    for (const KeyPlacement& p : policy.placements) places.xpu.push_back(p.xpu);
+    for (const Placement& p : policy.placements) places.xpu.push_back(p.xpu);
   }
   const std::string dot = graph_dot(app, places);
   if (options.json)

@@ -105,7 +105,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
       XAUTO_TRY(take_tables(flags, run));
       XAUTO_TRY(check_platform(flags, run.tables->platform));
     } else {
-      XAUTO_ASSIGN(KeyPolicy policy, load_key_policy(flags.policy_path, flags.app, flags.spec));
+      XAUTO_ASSIGN(Policy policy, load_policy(flags.policy_path, flags.app, flags.spec));
       XAUTO_TRY(check_platform(flags, policy.platform));
       run.take(std::move(policy));
     }

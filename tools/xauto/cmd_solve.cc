@@ -82,7 +82,7 @@ Result<int> solve(const SolveFlags& flags, const Options& options) {
   if (of_priorities && (!flags.assume.empty() || !flags.hint.empty() || !flags.objective.empty()))
     return fail(ErrorCode::kInvalid, "has neither --assume, --hint nor --objective",
                 "--method " + asked.method, "leave them out");
-  KeyPolicy hint;
+  Policy hint;
   if (!flags.hint.empty()) {
     XAUTO_ASSIGN(hint, load_key_hint(flags.hint, app, platform));
     asked.hint = &hint;

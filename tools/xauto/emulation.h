@@ -12,7 +12,7 @@
 #include "model/app.h"
 #include "model/emulation_script.h"
 #include "model/platform.h"
-#include "model/policy.h"
+#include "model/priority_plan.h"
 #include "xpu/presence.h"
 
 namespace xauto::cli {

@@ -53,14 +53,14 @@ std::string shape(const AppSpec& app) {
   return text;
 }
 
-std::string proof_table(const KeyPolicy& policy, const keys::CheckReport& report) {
+std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
   std::string out = fmt::format("  {:<10}{:>7}{:>9}   {}\n", "XPU", "XNodes", "load",
                                 "why every job ends by its key");
   for (std::size_t x = 0; x < report.xpus.size(); ++x) {
     const keys::XpuProof& proof = report.xpus[x];
     const auto count =
         std::count_if(policy.placements.begin(), policy.placements.end(),
-                      [&](const KeyPlacement& p) { return p.xpu == static_cast<int>(x); });
+                      [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
     out += fmt::format("  {:<10}{:>7}{:>7.1f} %   ", proof.xpu, count, 100 * proof.load);
     if (count == 0) {
       out += "it has none\n";
@@ -75,7 +75,7 @@ std::string proof_table(const KeyPolicy& policy, const keys::CheckReport& report
   return out;
 }
 
-std::string chain_table(const AppSpec& app, const KeyPolicy& policy) {
+std::string chain_table(const AppSpec& app, const Policy& policy) {
   std::string out = fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>9}\n", "chain", "worst case",
                                 "deadline", "lower bound", "gap");
   for (std::size_t c = 0; c < policy.chains.size(); ++c) {
@@ -197,7 +197,7 @@ Result<int> find_xnode(const AppSpec& app, const std::string& name, const char* 
 
 /// What of the pins, forbids and groups the policy does not keep.
 Result<std::vector<std::string>> broken_wishes(const AppSpec& app, const Platform& platform,
-                                               const KeyPolicy& policy,
+                                               const Policy& policy,
                                                const solver::Objectives& asked) {
   std::vector<std::string> broken;
   const auto runs_on = [&](int i, const std::string& target) {
@@ -249,7 +249,7 @@ Json cases_of(const AppSpec& app, const std::vector<keys::WhatIf>& ifs) {
 }
 
 /// A line per case: the chains that change, and by how much. Each was searched for `limit_s`.
-std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
+std::string what_if_table(const AppSpec& app, const Policy& policy,
                           const std::vector<keys::WhatIf>& ifs, double limit_s) {
   std::string out;
   if (!ifs.empty()) out += "\n  What if ... (by the solver alone)\n";
@@ -323,7 +323,7 @@ void tell_policy(const AppSpec& app, const Platform& platform, const keys::Uncer
       fmt::format("\n  {:<10}{:>7}{:>16}{:>16}\n", "XPU", "XNodes", "load at WCETs", "usual load");
   for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
     const auto count =
-        std::ranges::count(found.policy.placements, static_cast<int>(x), &KeyPlacement::xpu);
+        std::ranges::count(found.policy.placements, static_cast<int>(x), &Placement::xpu);
     const auto& [at_wcets, usual] = found.load[x];
     text += fmt::format("  {:<10}{:>7}{:>14.1f} %{:>14.1f} %{}\n", platform.xpus[x].id, count,
                         100 * at_wcets, 100 * usual,
@@ -391,7 +391,7 @@ double assumed_s(const keys::Options& asked) {
 
 /// The answers to --assume.
 Result<std::vector<keys::WhatIf>> ask_assumed(const AppSpec& app, const Platform& platform,
-                                              const KeyPolicy& policy,
+                                              const Policy& policy,
                                               const std::vector<std::string>& assume,
                                               keys::Options asked) {
   asked.time_limit_s = assumed_s(asked);
@@ -446,12 +446,12 @@ Result<int> solve_uncertified(const AppSpec& app, const Platform& platform,
 }
 
 /// By the check's paths: whoever a chain waits for in a component that it goes through.
-std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const Policy& policy,
                               const keys::CheckReport& report) {
   const auto parts = find_components(app);
   if (!parts) return {};
   std::vector<int> xpu;
-  for (const KeyPlacement& placed : policy.placements) xpu.push_back(placed.xpu);
+  for (const Placement& placed : policy.placements) xpu.push_back(placed.xpu);
   std::unordered_map<std::string_view, int> component;
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     component.emplace(app.xnodes[i].name, parts->of[i]);
@@ -468,7 +468,7 @@ std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, cons
 }
 
 /// Who is where, beside where a hint has them.
-Json moved(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
+Json moved(const AppSpec& app, const Platform& platform, const Policy& hint,
            const keys::Answer& answer) {
   Json list = Json::array();
   for (const int i : answer.moved)
@@ -478,11 +478,11 @@ Json moved(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
   return list;
 }
 
-std::string moved_line(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
+std::string moved_line(const AppSpec& app, const Platform& platform, const Policy& hint,
                        const keys::Answer& answer) {
   constexpr std::size_t kNamed = 5;
   const auto known = std::count_if(hint.placements.begin(), hint.placements.end(),
-                                   [](const KeyPlacement& placed) { return placed.xpu >= 0; });
+                                   [](const Placement& placed) { return placed.xpu >= 0; });
   std::string out = fmt::format("\n  moved: {} of the {} XNodes that the hint places",
                                 answer.moved.size(), known);
   for (std::size_t k = 0; k < std::min(kNamed, answer.moved.size()); ++k) {
@@ -624,7 +624,7 @@ Result<int> solve_policy(const AppSpec& app, const Platform& platform, const key
 /// inside one it is whichever predecessor has its key last, since that is what the next waits for.
 class WholePaths {
  public:
-  WholePaths(const AppSpec& app, const Platform& platform, const KeyPolicy& policy)
+  WholePaths(const AppSpec& app, const Platform& platform, const Policy& policy)
       : succ_(app.successors()),
         into_(app.xnodes.size()),
         of_source_(app.sources.size()),
@@ -696,7 +696,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
                            const std::string& picture, double moves_s, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--windows", picture));
-  XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
   XAUTO_ASSIGN(const keys::CheckReport report, keys::check(app, platform, policy));
   // The chain that is worst off: in parts of its deadline, or else the longest.
   std::size_t worst = 0;
@@ -753,7 +753,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
 }
 
 /// Of a policy that is not certified.
-Result<int> check_places(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+Result<int> check_places(const AppSpec& app, const Platform& platform, const Policy& policy,
                          const std::string& path, const std::vector<std::string>& broken,
                          const Options& options) {
   const Status stated = keys::check_places(app, platform, policy);
@@ -784,7 +784,7 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Key
 
 Result<int> check_policy(const AppSpec& app, const Platform& platform, const std::string& path,
                          const solver::Objectives& asked, const Options& options) {
-  XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
   XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
   if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
   const auto report = keys::check(app, platform, policy);
@@ -854,7 +854,7 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
 Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const std::string& path,
                             const keys::PlayOptions& asked, const std::string& out,
                             const Options& options) {
-  XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
   XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, asked));

@@ -608,7 +608,8 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
   scene.modules = std::move(modules);
   if (run.policy && !run.keys)  // keys are no priorities
-    for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
+    for (const PriorityPlacement& p : run.policy->placements)
+      scene.priorities.push_back(p.priority);
   // No window ends with a key that is no claim.
   if (run.keys && run.keys->certified && run.scheduling == runtime::Scheduling::kXAuto) {
     scene.keys = &*run.keys;

@@ -187,7 +187,7 @@ Latency summarise(const runtime::Distribution& us) {
           us.count(),       us.quantile(0.1),  us.quantile(0.9)};
 }
 
-void PolicyRun::take(KeyPolicy made) {
+void PolicyRun::take(Policy made) {
   policy = assignment_of(made);
   if (!made.by_priority()) keys = std::move(made);
 }

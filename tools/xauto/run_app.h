@@ -84,9 +84,9 @@ struct PolicyRun {
   std::string id;    ///< "ros2", "heft", "xauto"; of a policy file its name
   std::string name;  ///< for people
   runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
-  std::optional<Policy> policy;   ///< none for ros2; else assignment_of() what was taken
-  std::optional<KeyPolicy> keys;  ///< what was taken, unless it has priorities
-  void take(KeyPolicy made);
+  std::optional<PriorityPlan> policy;  ///< none for ros2; else assignment_of() what was taken
+  std::optional<Policy> keys;          ///< what was taken, unless it has priorities
+  void take(Policy made);
   /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
   std::optional<Tables> tables;
   std::string untrue;  ///< why `xauto check` refuses the policy here; empty: not known

@@ -99,7 +99,7 @@ class Fixture {
     Platform platform;
     platform.name = "tiny";
     platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
-    Policy policy;
+    PriorityPlan policy;
     policy.app = spec.name;
     policy.app_hash = spec.hash();
     policy.method = "heft";
@@ -282,7 +282,7 @@ RunOptions with_tables_of_keys(std::int64_t settles_us,
   if (loses_a_cpu) tables.scenarios[1].lost = {"cpu0"};
   tables.tables = {{"near", {2, 0}, {0, 0}, {}}, {"far", {2, 1}, {0, 0}, {}}};
   for (const int times : {1, 2}) {
-    KeyPolicy keys;
+    Policy keys;
     keys.placements = {{2, {(times + 1) * wcet_us}}, {times - 1, {(2 * times + 1) * wcet_us}}};
     keys.chains = {{"all", 30'000'000, 0, false}};
     tables.keys.push_back(keys);
@@ -588,7 +588,7 @@ int times_met(Period period, bool one_at_a_time) {
   Platform platform;
   platform.name = "two";
   platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}};
-  Policy policy;
+  PriorityPlan policy;
   policy.app = spec.name;
   policy.app_hash = spec.hash();
   policy.method = "heft";

@@ -26,16 +26,15 @@ RatedCase small(std::int64_t preempt_us = 0) {
   return made;
 }
 
-KeyPolicy on_the_cpu(const RatedCase& made) {
-  KeyPolicy policy{
-      made.app.name, made.app.hash(), "p", "test", {{0, {60'000}}, {0, {2'000}}}, {}, 0};
+Policy on_the_cpu(const RatedCase& made) {
+  Policy policy{made.app.name, made.app.hash(), "p", "test", {{0, {60'000}}, {0, {2'000}}}, {}, 0};
   policy.chains = {{"x", 60'000, 40'000, false}, {"y", 2'000, 2'000, true}};
   return policy;
 }
 
 TEST(KeysRivals, EachIsWhatItsNameSays) {
   const RatedCase made = small();
-  const KeyPolicy ours = on_the_cpu(made);
+  const Policy ours = on_the_cpu(made);
   ASSERT_TRUE(solver::keys::check(made.app, made.platform, ours));
   const auto list = rivals(made.app, made.platform, ours);
   ASSERT_TRUE(list) << list.error().to_string();
@@ -60,7 +59,7 @@ TEST(KeysRivals, EachIsWhatItsNameSays) {
 
 TEST(KeysRivals, WhatCannotKeepUpGrows) {
   RatedCase made = small();
-  KeyPolicy ours = on_the_cpu(made);
+  Policy ours = on_the_cpu(made);
   Rival rival{"all", {0, 0}, {1, 0}, 0};
   const Plays plays{1, 2000, 1};
   const auto light = observe(made.app, made.platform, ours, rival, plays);

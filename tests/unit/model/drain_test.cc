@@ -11,7 +11,7 @@ namespace {
 struct Chain {
   AppSpec app;
   Platform platform{"p", {{"cpu0", "cpu", true, 100}, {"gpu0", "gpu", false, 0}}};
-  KeyPolicy keys;
+  Policy keys;
   Chain() {
     app.name = "chain";
     app.clocks = {{"main", 0}};

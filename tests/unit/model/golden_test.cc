@@ -57,7 +57,7 @@ TEST(Golden, PolicyOfKeysIsWrittenAsItWasRead) {
   const std::string text = slurp(golden() / "policy-keys.json");
   const AppSpec app = app_with_rates();
   const Platform platform = golden_platform();
-  const auto policy = parse_key_policy(text, "policy-keys.json", app, platform);
+  const auto policy = parse_policy(text, "policy-keys.json", app, platform);
   ASSERT_TRUE(policy) << policy.error().to_string();
   EXPECT_EQ(policy->placements[0].hold_us, std::vector<std::int64_t>{1500});
   EXPECT_EQ(policy->placements[4].key_us.size(), 5u);
@@ -70,16 +70,16 @@ TEST(Golden, APolicyThatIsNotCertifiedHasNoChainsAndNoRoomForWcets) {
   const AppSpec app = app_with_rates();
   const Platform platform = golden_platform();
   auto policy =
-      parse_key_policy(slurp(golden() / "policy-keys.json"), "policy-keys.json", app, platform);
+      parse_policy(slurp(golden() / "policy-keys.json"), "policy-keys.json", app, platform);
   ASSERT_TRUE(policy) << policy.error().to_string();
   policy->certified = false;
   EXPECT_FALSE(validate(*policy, app, platform)) << "it claims something";
   policy->chains.clear();
-  KeyPlacement& mpc = policy->placements[4];
+  Placement& mpc = policy->placements[4];
   mpc = {mpc.xpu, {1}};
   ASSERT_TRUE(validate(*policy, app, platform));
   const auto read =
-      parse_key_policy(to_json(*policy, app, platform), "policy-keys.json", app, platform);
+      parse_policy(to_json(*policy, app, platform), "policy-keys.json", app, platform);
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(*read, *policy);
   policy->placements[1].key_us = {100};  // before fcd.pre's
@@ -90,7 +90,7 @@ TEST(Golden, AHintMayBeOfAnEarlierApp) {
   const std::string text = slurp(golden() / "policy-keys.json");
   AppSpec app = app_with_rates();
   Platform platform = golden_platform();
-  const auto before = parse_key_policy(text, "policy-keys.json", app, platform);
+  const auto before = parse_policy(text, "policy-keys.json", app, platform);
   ASSERT_TRUE(before);
   const int gone = before->placements[0].xpu;
   platform.xpus[static_cast<std::size_t>(gone)].id = "other";
@@ -102,7 +102,7 @@ TEST(Golden, AHintMayBeOfAnEarlierApp) {
     EXPECT_EQ(hint->placements[i].xpu, known ? before->placements[i].xpu : -1) << i;
     EXPECT_EQ(hint->placements[i].key_us.empty(), !known) << i;
   }
-  EXPECT_FALSE(parse_key_policy(text, "policy-keys.json", app, platform));
+  EXPECT_FALSE(parse_policy(text, "policy-keys.json", app, platform));
   app.name = "another";
   EXPECT_FALSE(parse_key_hint(text, "policy-keys.json", app, platform));
   EXPECT_FALSE(parse_key_hint("{}", "policy-keys.json", app, platform));
@@ -121,7 +121,7 @@ TEST(Golden, PolicyOfPrioritiesIsWrittenAsItWasRead) {
   const std::string text = slurp(golden() / "policy.json");
   const AppSpec app = golden_app();
   const Platform platform = golden_platform();
-  const auto policy = parse_key_policy(text, "policy.json", app, platform);
+  const auto policy = parse_policy(text, "policy.json", app, platform);
   ASSERT_TRUE(policy) << policy.error().to_string();
   EXPECT_EQ(policy->placements[0].xpu, 2);
   EXPECT_EQ(policy->order, (std::vector<std::pair<int, int>>{{3, 2}}));
@@ -194,7 +194,7 @@ TEST(Golden, EveryMalformedPolicyOfPrioritiesIsRefusedWithItsMessage) {
   const AppSpec app = golden_app();
   const Platform platform = golden_platform();
   every_case("policy", 20, [&](const std::string& text, const std::string& name) {
-    return parse_key_policy(text, name, app, platform);
+    return parse_policy(text, name, app, platform);
   });
 }
 
@@ -300,7 +300,7 @@ TEST(Golden, EveryMalformedPolicyOfKeysIsRefusedWithItsMessage) {
   const AppSpec app = app_with_rates();
   const Platform platform = golden_platform();
   every_case("policy-keys", 35, [&](const std::string& text, const std::string& name) {
-    return parse_key_policy(text, name, app, platform);
+    return parse_policy(text, name, app, platform);
   });
 }
 

@@ -99,7 +99,7 @@ TEST(Json, PolicyMayListXNodesInAnyOrder) {
   const Platform platform = Platform::builtin("small").value();
   AppSpec app = parse_app(app_text(""), "a.json").value();
   app.xnodes.push_back({"y", "N", {{"gpu", 5}}, {0}});
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.method = "heft";
@@ -111,11 +111,10 @@ TEST(Json, PolicyMayListXNodesInAnyOrder) {
   const std::size_t x = text.find(R"({ "name": "x")"), y = text.find(R"({ "name": "y")");
   ASSERT_LT(x, y);
   std::swap(text[x + 11], text[y + 11]);
-  const auto swapped = parse_key_policy(text, "p.json", app, platform);
+  const auto swapped = parse_policy(text, "p.json", app, platform);
   ASSERT_FALSE(swapped);
   EXPECT_EQ(swapped.error().where, "p.json: /xnodes/1/xpu") << swapped.error().to_string();
-  EXPECT_EQ(parse_key_policy(to_json(policy, app, platform), "p.json", app, platform).value(),
-            policy);
+  EXPECT_EQ(parse_policy(to_json(policy, app, platform), "p.json", app, platform).value(), policy);
 }
 
 TEST(Json, LevelsAreOfAPreemptiveXpuAlone) {

@@ -72,7 +72,7 @@ Status read(const std::string& kind, const std::string& text, Keys* keys) {
   if (format == "app") return status(parse_app(text, format, keys));
   if (format == "platform") return status(parse_platform(text, format, keys));
   if (format == "profile") return status(parse_profile(text, format, keys));
-  if (format == "policy") return status(parse_key_policy(text, format, of, platform, keys));
+  if (format == "policy") return status(parse_policy(text, format, of, platform, keys));
   if (format == "scenarios") return status(parse_scenarios(text, format, app, platform, keys));
   if (format == "emulation") return status(parse_emulation_script(text, format, platform, keys));
   if (format == "tables") return status(parse_tables(text, format, of, platform, keys));

@@ -240,10 +240,10 @@ TEST(Loss, ProfilesThatMakeNoSenseAreRefused) {
 TEST(Loss, ATableIsAPolicyOfWhatIsLeft) {
   const AppSpec app = app_of();
   const Tables tables = tables_of(app);
-  const Policy less = policy_under(tables.tables[1], app, platform_of(), tables.scenarios[1]);
+  const PriorityPlan less = policy_under(tables.tables[1], app, platform_of(), tables.scenarios[1]);
   EXPECT_EQ(less.placements.size(), 3u);
   EXPECT_EQ(less.order, (std::vector<std::pair<int, int>>{{0, 2}}));
-  const Policy whole = whole_policy(tables, 1, app, platform_of());
+  const PriorityPlan whole = whole_policy(tables, 1, app, platform_of());
   ASSERT_EQ(whole.placements.size(), 5u);
   EXPECT_EQ(whole.placements[3].xpu, 1) << "off: where the first scenario's table has it";
   EXPECT_EQ(whole.placements[1].priority, 4);

@@ -237,11 +237,11 @@ TEST(Periodic, OneSourceOfAComponentMayBeUrgent) {
   EXPECT_EQ(status.error().where, "/sources/1/urgent");
 }
 
-TEST(KeyPolicy, SaysTheUrgentWorstCaseWhereTheSourceMayBe) {
+TEST(Policy, SaysTheUrgentWorstCaseWhereTheSourceMayBe) {
   AppSpec app = islands({{"a", {1000}}});
   app.sources[0].urgent = {100, 5000};
   const Platform platform = Platform::builtin("small").value();
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.placements = {{0, {500}}};
@@ -249,7 +249,7 @@ TEST(KeyPolicy, SaysTheUrgentWorstCaseWhereTheSourceMayBe) {
   EXPECT_FALSE(validate(policy, app, platform));
   policy.chains[0].urgent_worst_case_us = 400;
   ASSERT_TRUE(validate(policy, app, platform));
-  EXPECT_EQ(parse_key_policy(to_json(policy, app, platform), "p", app, platform).value(), policy);
+  EXPECT_EQ(parse_policy(to_json(policy, app, platform), "p", app, platform).value(), policy);
   app.sources[0].urgent.reset();
   policy.app_hash = app.hash();
   EXPECT_FALSE(validate(policy, app, platform));
@@ -434,7 +434,7 @@ TEST(EveryChain, NobodyIsCalledAsEveryEndIs) {
 struct ByPriority {
   AppSpec app = parse_app(one_at_a_time(), "a.json").value();
   Platform platform{"two", {{"cpu0", "cpu"}, {"cpu1", "cpu"}}};
-  KeyPolicy policy;
+  Policy policy;
   ByPriority() {
     policy.app = app.name;
     policy.app_hash = app.hash();
@@ -452,15 +452,15 @@ struct ByPriority {
   }
 };
 
-TEST(KeyPolicy, PrioritiesAreReadAsTheyWereWritten) {
+TEST(Policy, PrioritiesAreReadAsTheyWereWritten) {
   ByPriority p;
   p.policy.order = {{1, 2}};
   ASSERT_EQ(p.error(), "");
   EXPECT_TRUE(p.policy.by_priority());
-  EXPECT_EQ(parse_key_policy(to_json(p.policy, p.app, p.platform), "p", p.app, p.platform).value(),
+  EXPECT_EQ(parse_policy(to_json(p.policy, p.app, p.platform), "p", p.app, p.platform).value(),
             p.policy);
   EXPECT_EQ(by_priorities(assignment_of(p.policy), p.app), [&] {
-    KeyPolicy same = p.policy;
+    Policy same = p.policy;
     same.method = assignment_of(p.policy).method;
     return same;
   }());
@@ -471,7 +471,7 @@ TEST(KeyPolicy, PrioritiesAreReadAsTheyWereWritten) {
   EXPECT_EQ(p.error(), "");
 }
 
-TEST(KeyPolicy, PrioritiesStandAloneAndClaimNothing) {
+TEST(Policy, PrioritiesStandAloneAndClaimNothing) {
   const auto error = [](const auto& spoil) {
     ByPriority p;
     spoil(p.policy);
@@ -479,43 +479,43 @@ TEST(KeyPolicy, PrioritiesStandAloneAndClaimNothing) {
   };
   const std::string one = "give each XNode a priority, or each keys";
   for (const std::size_t i : {0u, 2u}) {
-    const std::string mixed = error([&](KeyPolicy& p) {
+    const std::string mixed = error([&](Policy& p) {
       p.placements[i].priority.reset();
       p.placements[i].key_us = {100};
     });
     EXPECT_NE(mixed.find(one), std::string::npos) << mixed;
     EXPECT_EQ(mixed.find("/xnodes/"), 0u) << mixed;
-    EXPECT_NE(error([&](KeyPolicy& p) { p.placements[i].key_us = {100}; }).find(one),
+    EXPECT_NE(error([&](Policy& p) { p.placements[i].key_us = {100}; }).find(one),
               std::string::npos);
-    EXPECT_NE(error([&](KeyPolicy& p) { p.placements[i].hold_us = {100}; }).find(one),
+    EXPECT_NE(error([&](Policy& p) { p.placements[i].hold_us = {100}; }).find(one),
               std::string::npos);
   }
-  EXPECT_EQ(error([](KeyPolicy& p) {
+  EXPECT_EQ(error([](Policy& p) {
               p.placements[1].start_us = {0};
               p.placements[1].finish_us = {10};
             }).find("/xnodes/1/start_us"),
             0u);
-  EXPECT_EQ(error([](KeyPolicy& p) { p.placements[2].priority = 0; }),
+  EXPECT_EQ(error([](Policy& p) { p.placements[2].priority = 0; }),
             "/xnodes/2/priority: XNode 'c' has priority 0 on cpu0, as 'a' has\n"
             "  hint: priorities are unique per XPU instance");
-  EXPECT_EQ(error([](KeyPolicy& p) {
+  EXPECT_EQ(error([](Policy& p) {
               p.placements[2].priority = 0;
               p.placements[2].xpu = 1;
             }),
             "");
-  EXPECT_EQ(error([](KeyPolicy& p) {
+  EXPECT_EQ(error([](Policy& p) {
               p.placements[2].priority = kMaxTimeUs + 1;
             }).find("/xnodes/2/priority"),
             0u);
-  const std::string claims = error([](KeyPolicy& p) { p.certified = true; });
+  const std::string claims = error([](Policy& p) { p.certified = true; });
   EXPECT_EQ(claims.find("/certified: priorities are not certified"), 0u) << claims;
-  EXPECT_EQ(error([](KeyPolicy& p) {
+  EXPECT_EQ(error([](Policy& p) {
               p.chains = {{"camera -> b", 1, 1, true}};
             }).find("/certified"),
             0u);
 }
 
-TEST(KeyPolicy, OrderHoldsBesidePriorities) {
+TEST(Policy, OrderHoldsBesidePriorities) {
   const auto error = [](std::vector<std::pair<int, int>> order, int xpu_of_c = 0) {
     ByPriority p;
     p.policy.order = std::move(order);
@@ -530,12 +530,12 @@ TEST(KeyPolicy, OrderHoldsBesidePriorities) {
 }
 
 // Whoever reads it is not told that a claim is missing, but that there can be none.
-TEST(KeyPolicy, PrioritiesInAFileSayThatTheyAreNotCertified) {
+TEST(Policy, PrioritiesInAFileSayThatTheyAreNotCertified) {
   const ByPriority p;
   std::string text = to_json(p.policy, p.app, p.platform);
   const std::string line = "  \"certified\": false,\n";
   text.replace(text.find(line), line.size(), "");
-  const auto refused = parse_key_policy(text, "p.json", p.app, p.platform);
+  const auto refused = parse_policy(text, "p.json", p.app, p.platform);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().to_string(),
             "p.json: /certified: priorities are not certified: nothing can be claimed of them\n"
@@ -543,7 +543,7 @@ TEST(KeyPolicy, PrioritiesInAFileSayThatTheyAreNotCertified) {
 }
 
 // As a hint it says where XNodes are, and no more: a policy of keys is what comes of it.
-TEST(KeyPolicy, AsAHintPrioritiesSayWhereXNodesAre) {
+TEST(Policy, AsAHintPrioritiesSayWhereXNodesAre) {
   ByPriority p;
   p.policy.placements[1].xpu = 1;
   p.policy.order = {{0, 2}};
@@ -558,10 +558,10 @@ TEST(KeyPolicy, AsAHintPrioritiesSayWhereXNodesAre) {
   EXPECT_EQ(hint->order, p.policy.order);
 }
 
-TEST(KeyPolicy, OfALongHyperperiodHasOneKeyPerXNode) {
+TEST(Policy, OfALongHyperperiodHasOneKeyPerXNode) {
   const AppSpec app = islands({{"a", {999'999'937}}, {"b", {999'999'929}}, {"c", {999'999'893}}});
   const Platform platform = Platform::builtin("small").value();
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   for (int i = 0; i < 3; ++i) policy.placements.push_back({0, {100}});
@@ -574,13 +574,13 @@ TEST(KeyPolicy, OfALongHyperperiodHasOneKeyPerXNode) {
 }
 
 // Keys of u and v that are never of one activation are not compared.
-TEST(KeyPolicy, KeysOfOneActivationAreCompared) {
+TEST(Policy, KeysOfOneActivationAreCompared) {
   AppSpec app = islands({{"fast", {1000}}, {"slow", {6000}}});
   app.xnodes.push_back({"next", "n0", {{"cpu", 10}}});
   app.edges = {{0, 2}};
   app.chains.clear();
   complete_chains(app);
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   // 2 and 6 keys: entry 0 of n0 is of the even activations.

@@ -129,7 +129,7 @@ class Ros2GateTest : public ::testing::Test {
     Platform platform;
     platform.name = "tiny";
     platform.xpus = {{"cpu0", "cpu"}};
-    Policy policy;
+    PriorityPlan policy;
     policy.app = spec.name;
     policy.app_hash = spec.hash();
     policy.method = "heft";

@@ -81,7 +81,7 @@ class EarlyExample {
  private:
   AppSpec app_;
   Platform platform_;
-  KeyPolicy policy_;
+  Policy policy_;
   std::unique_ptr<EarlyStart> early_;
 };
 

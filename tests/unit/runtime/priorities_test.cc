@@ -51,10 +51,10 @@ TEST(FifoRange, UnderAnyLimitStaysInsideAndKeepsTheOrder) {
   }
 }
 
-Policy policy_of(std::vector<std::int64_t> priorities) {
-  Policy policy;
+PriorityPlan policy_of(std::vector<std::int64_t> priorities) {
+  PriorityPlan policy;
   for (const std::int64_t priority : priorities) {
-    Placement placement;
+    PriorityPlacement placement;
     placement.xpu = 0;
     placement.priority = priority;
     policy.placements.push_back(placement);
@@ -63,7 +63,7 @@ Policy policy_of(std::vector<std::int64_t> priorities) {
 }
 
 TEST(FifoRange, RanksGoDownFromTheHighestAndShareTheLowest) {
-  const Policy policy = policy_of({-5, 1000, 7, 900, 8});
+  const PriorityPlan policy = policy_of({-5, 1000, 7, 900, 8});
   const auto ranks = [&](int highest) { return FifoRange::within(highest).by_rank(policy); };
   EXPECT_EQ(ranks(60), (std::vector<int>{35, 39, 36, 38, 37}));
   EXPECT_EQ(ranks(8), (std::vector<int>{2, 4, 2, 3, 2}));  // 4 levels above: 8, 7, 6, 5
@@ -71,13 +71,13 @@ TEST(FifoRange, RanksGoDownFromTheHighestAndShareTheLowest) {
 }
 
 TEST(FifoRange, RanksAreThoseOfTheirOwnXpu) {
-  Policy policy = policy_of({1, 2, 3});
+  PriorityPlan policy = policy_of({1, 2, 3});
   policy.placements[2].xpu = 1;
   EXPECT_EQ(FifoRange{}.by_rank(policy), (std::vector<int>{38, 39, 39}));
 }
 
 TEST(FifoRange, SmallerRangeIsSaid) {
-  const Policy policy = policy_of({1, 2, 3, 4, 5});
+  const PriorityPlan policy = policy_of({1, 2, 3, 4, 5});
   EXPECT_EQ(FifoRange{}.note(60, policy, {0}), "");
   EXPECT_EQ(FifoRange::within(0).note(0, policy, {0}), "") << "that is said elsewhere";
   EXPECT_EQ(FifoRange::within(20).note(20, policy, {0}),

@@ -25,7 +25,7 @@ Session at_rest() {
 
 TEST(Session, PrioritiesTravelAsPriorities) {
   Session session = at_rest();
-  KeyPolicy policy{"two", session.app.hash(), "one", "test", {{0, {}}, {0, {}}}};
+  Policy policy{"two", session.app.hash(), "one", "test", {{0, {}}, {0, {}}}};
   policy.certified = false;
   policy.placements[0].priority = 2;
   policy.placements[1].priority = 1;
@@ -43,13 +43,13 @@ TEST(Session, PrioritiesTravelAsPriorities) {
 
 TEST(Session, KeysTravelAsKeys) {
   Session session = at_rest();
-  session.take_policy(KeyPolicy{"two",
-                                session.app.hash(),
-                                "one",
-                                "test",
-                                {{0, {5'000}}, {0, {300}}},
-                                {{"c", 50'000, 300}},
-                                0});
+  session.take_policy(Policy{"two",
+                             session.app.hash(),
+                             "one",
+                             "test",
+                             {{0, {5'000}}, {0, {300}}},
+                             {{"c", 50'000, 300}},
+                             0});
   ASSERT_TRUE(session.keys);
   EXPECT_GT(session.policy.placements[1].priority, session.policy.placements[0].priority)
       << "its key is the smaller one";

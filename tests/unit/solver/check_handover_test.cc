@@ -16,7 +16,7 @@ namespace {
 struct Handover {
   AppSpec app;
   Platform platform{"p", {{"cpu0", "cpu", true, 0}, {"gpu0", "gpu", true, 0}}};
-  KeyPolicy policy;
+  Policy policy;
 };
 
 /// Source, XNode and chain, all with that name, alone in their module.

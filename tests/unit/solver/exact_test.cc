@@ -201,7 +201,7 @@ TEST(Exact, ASyntheticAppWithANonPreemptiveDlaIsNotCalledOptimalTooEarly) {
   // That there is one, by the simulator that shares nothing with the solver.
   Decision decision;
   decision.order = policy->order;
-  for (const Placement& placement : policy->placements) {
+  for (const PriorityPlacement& placement : policy->placements) {
     decision.xpu.push_back(placement.xpu);
     decision.priority.push_back(placement.priority);
   }

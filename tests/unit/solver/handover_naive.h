@@ -17,8 +17,8 @@
 #include <vector>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "solver/random.h"
 
 namespace xauto::solver::keys {
@@ -29,8 +29,8 @@ struct NaiveTables {
   const AppSpec& app_to;    ///< q's
   const AppSpec& app_both;  ///< the larger of both
   const Platform& platform;
-  const KeyPolicy& from;  ///< p
-  const KeyPolicy& to;    ///< q
+  const Policy& from;  ///< p
+  const Policy& to;    ///< q
 };
 
 /// All that one play is free in. A byte says how much of what is allowed: 255 all, 0 (nearly) none.
@@ -108,7 +108,7 @@ class HandoverWorld {
     const Time bend = drift.bend / exact * exact, until = std::min(nominal, bend);
     return begin + nominal + longer(until, drift.before) + longer(nominal - until, drift.after);
   }
-  [[nodiscard]] const KeyPolicy& policy(int table) const {
+  [[nodiscard]] const Policy& policy(int table) const {
     return table == 0 ? tables.from : tables.to;
   }
   [[nodiscard]] Time wcet(const AppSpec& of, int xnode, int xpu) const {
@@ -117,8 +117,8 @@ class HandoverWorld {
   /// Largest key after a release, in ticks.
   [[nodiscard]] Time deepest() const {
     Time most = 0;
-    for (const KeyPolicy* p : {&tables.from, &tables.to})
-      for (const KeyPlacement& x : p->placements)
+    for (const Policy* p : {&tables.from, &tables.to})
+      for (const Placement& x : p->placements)
         for (const Time key : x.key_us) most = std::max(most, key * scale);
     return most;
   }
@@ -295,7 +295,7 @@ class HandoverRun {
         j.n = n;
         j.release = nominal(w_.first_source[i], n);
         j.table = j.release < choice_.change ? 0 : 1;
-        const KeyPlacement& placed = w_.policy(j.table).placements[i];
+        const Placement& placed = w_.policy(j.table).placements[i];
         j.xpu = placed.xpu;
         j.key = placed.key_us[at(n) % placed.key_us.size()] * w_.scale;
         if (!placed.hold_us.empty())

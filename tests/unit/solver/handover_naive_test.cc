@@ -17,10 +17,9 @@ namespace {
 struct TwoByHand {
   AppSpec from, to, both;
   Platform platform;
-  KeyPolicy p, q;
+  Policy p, q;
 
-  TwoByHand(AppSpec app, Platform on, std::vector<KeyPlacement> first,
-            std::vector<KeyPlacement> second)
+  TwoByHand(AppSpec app, Platform on, std::vector<Placement> first, std::vector<Placement> second)
       : platform(std::move(on)) {
     complete_modules(app);
     complete_chains(app);
@@ -200,7 +199,7 @@ TEST(HandoverNaive, WithoutAChangeItIsTheTableItself) {
     const AppSpec app = random_rated_app(dice, shape);
     const Platform platform = random_rated_platform(dice);
     // No certificate is asked: any keys give an execution, while jobs may be late.
-    KeyPolicy policy;
+    Policy policy;
     for (const XNodeSpec& x : app.xnodes) {
       std::vector<int> may;
       for (std::size_t m = 0; m < platform.xpus.size(); ++m)

@@ -33,13 +33,13 @@ struct TwoPolicies {
   AppSpec from_app, to_app, both;
   Platform platform;
   std::int64_t notice_us = kTinyNotice;
-  KeyPolicy from, to;
+  Policy from, to;
 };
 
 using Forbids = std::vector<std::pair<std::string, std::string>>;
 
-std::optional<KeyPolicy> solved_quickly(const AppSpec& app, const Platform& platform,
-                                        std::uint64_t seed, const Forbids& forbids = {}) {
+std::optional<Policy> solved_quickly(const AppSpec& app, const Platform& platform,
+                                     std::uint64_t seed, const Forbids& forbids = {}) {
   Options options;
   options.wishes.forbids = forbids;
   options.max_evaluations = 300;
@@ -107,9 +107,9 @@ std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Cloc
 }
 
 /// `why`: of windows that do not hold; there are none.
-Windows windows_by(const Problem& p, const KeyPolicy& keys, std::vector<int>& xpu) {
+Windows windows_by(const Problem& p, const Policy& keys, std::vector<int>& xpu) {
   Windows w = keys_and_holds(p, keys);
-  for (const KeyPlacement& placed : keys.placements) xpu.push_back(placed.xpu);
+  for (const Placement& placed : keys.placements) xpu.push_back(placed.xpu);
   std::string why;
   EXPECT_TRUE(certify(p, xpu, w, &why)) << why;
   return w;
@@ -213,7 +213,7 @@ bool share_an_xpu(const TwoPolicies& two) {
   std::vector<int> user(two.platform.xpus.size(), -1);
   for (std::size_t i = 0; i < two.from_app.xnodes.size(); ++i) {
     const int domain = found.components[at(found.of[i])].domain;
-    for (const KeyPolicy* keys : {&two.from, &two.to}) {
+    for (const Policy* keys : {&two.from, &two.to}) {
       int& other = user[at(keys->placements[i].xpu)];
       if (other >= 0 && other != domain) return true;
       other = domain;

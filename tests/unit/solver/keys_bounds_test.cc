@@ -39,7 +39,7 @@ struct Exhaustion {
   Tick most;
   std::vector<int> order, xpu;
   Windows w;
-  KeyPolicy policy;
+  Policy policy;
   Best best;
 
   /// All keys of XNodes order[next..], and then the checker.
@@ -55,7 +55,7 @@ struct Exhaustion {
           w.d[at(p.slot[at(i)] + n)] = d;
           w.hold[at(p.slot[at(i)] + n)] = hold;
         }
-        KeyPlacement& placed = policy.placements[at(i)];
+        Placement& placed = policy.placements[at(i)];
         placed.xpu = xpu[at(i)];
         placed.key_us = {d};
         placed.hold_us.clear();
@@ -302,9 +302,9 @@ TEST(KeysBounds, NoExecutionBreaksTheBestOfExhaustion) {
     const Best best = exhaust(app, platform, *p, 10);
     if (!best.any) continue;
     ++played;
-    KeyPolicy policy;
+    Policy policy;
     for (int i = 0; i < p->num_xnodes; ++i) {
-      KeyPlacement placed;
+      Placement placed;
       placed.xpu = best.xpu[at(i)];
       placed.key_us = {best.w.d[at(p->slot[at(i)])]};
       placed.hold_us = {best.w.hold[at(p->slot[at(i)])]};

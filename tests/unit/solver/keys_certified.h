@@ -15,7 +15,7 @@ inline bool certified(const attack::Case& c) {
   if (!p) return false;
   std::vector<int> xpu;
   for (int i = 0; i < p->num_xnodes; ++i) {
-    const KeyPlacement& placement = c.policy.placements[at(i)];
+    const Placement& placement = c.policy.placements[at(i)];
     xpu.push_back(placement.xpu);
     const std::size_t keys = placement.key_us.size(), holds = placement.hold_us.size();
     const std::size_t jobs = at(p->jobs[at(i)]);

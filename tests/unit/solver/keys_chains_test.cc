@@ -49,7 +49,7 @@ TEST(KeysChains, ACheckDerivesNoMoreWhereAWayGoesBackOnAClockThatDrifts) {
   for (const int ppm : {0, 100, 1000, 5000}) {
     const AppSpec app = going_back(ppm);
     const Problem p = *Problem::create(app, platform);
-    KeyPolicy keys;
+    Policy keys;
     keys.app = app.name;
     keys.app_hash = app.hash();
     keys.placements = {{0, {1000}, {}, {}, {}},
@@ -57,7 +57,7 @@ TEST(KeysChains, ACheckDerivesNoMoreWhereAWayGoesBackOnAClockThatDrifts) {
                        {2, {20'000}, {}, {}, {}},
                        {3, {145'000}, {140'000}, {}, {}}};
     std::vector<int> xpu;
-    for (const KeyPlacement& placed : keys.placements) xpu.push_back(placed.xpu);
+    for (const Placement& placed : keys.placements) xpu.push_back(placed.xpu);
     Windows w = keys_and_holds(p, keys);
     std::string why;
     ASSERT_TRUE(certify(p, xpu, w, &why)) << why;
@@ -82,7 +82,7 @@ TEST(KeysChains, WhatIsBehindACrossingIsFollowedOnce) {
   app.clocks = {{"main", 0}, {"lidar", 50}};
   app.sources = {
       {"a", {33'333}}, {"b", {99'991}, 0, 0, 1}, {"c", {50'000}}, {"d", {70'001}, 0, 0, 1}};
-  KeyPolicy keys;
+  Policy keys;
   for (int i = 0; i < 4; ++i) {
     const std::string name(1, "abcd"[i]);
     app.modules.push_back({name, 1, false});

@@ -384,7 +384,7 @@ TEST(KeysCheck, EightThousandJobs) {
     }
   }
   xnode(c, source(c, 300'000), 0, 1, {200'000});
-  for (KeyPlacement& p : c.policy.placements)
+  for (Placement& p : c.policy.placements)
     if (p.key_us[0] == 900) p.key_us.assign(100, 900);
   const auto report = checked(c);
   ASSERT_TRUE(report) << report.error().to_string();

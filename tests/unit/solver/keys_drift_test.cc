@@ -11,8 +11,8 @@
 
 #include "base/index.h"
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "solver/keys/check.h"
 #include "solver/keys/solve.h"
 
@@ -99,7 +99,7 @@ AppSpec in_a_row() {
 TEST(KeysDrift, AHoldThatNobodyWaitsForCostsNoChain) {
   const AppSpec app = in_a_row();
   const Platform platform = cpus(6);
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.placements = {{0, {4572}}, {1, {5283}}, {2, {9}}, {3, {621}}, {4, {57}}, {5, {192}}};
@@ -132,7 +132,7 @@ TEST(KeysDrift, WindowsOfOneLengthDoNotPreemptEachOther) {
   app.chains = {{"all", 0, 0, {}}};
   Platform platform = cpus(1);
   platform.xpus.front().preempt_us = 60;
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.placements = {{0, {400}}, {0, {1400}, {1000}}};

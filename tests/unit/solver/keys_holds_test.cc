@@ -32,7 +32,7 @@ RatedShape shape_of(int kind) {
 struct Case {
   AppSpec app;
   Platform platform;
-  KeyPolicy policy;
+  Policy policy;
 };
 
 /// One that has a policy, if this seed does.
@@ -51,9 +51,9 @@ std::optional<Case> solved(int kind, std::uint64_t seed) {
 }
 
 /// Whether the policy is certified, and no chain takes longer than `of` claims.
-bool keeps(const Problem& p, const KeyPolicy& policy, const KeyPolicy& of) {
+bool keeps(const Problem& p, const Policy& policy, const Policy& of) {
   std::vector<int> xpu;
-  for (const KeyPlacement& placed : policy.placements) xpu.push_back(placed.xpu);
+  for (const Placement& placed : policy.placements) xpu.push_back(placed.xpu);
   Windows w = keys_and_holds(p, policy);
   if (!certify(p, xpu, w)) return false;
   for (std::size_t k = 0; k < p.chains.size(); ++k) {
@@ -76,7 +76,7 @@ TEST(KeysHolds, EachIsNeededForAClaimOrTheCertificate) {
       const Problem p = *Problem::create(c->app, c->platform, {}, c->policy.order);
       EXPECT_TRUE(keeps(p, c->policy, c->policy)) << kind << ", seed " << seed;
       for (std::size_t i = 0; i < c->policy.placements.size(); ++i) {
-        KeyPolicy without = c->policy;
+        Policy without = c->policy;
         auto& [xpu, keys, held, start, finish, priority] = without.placements[i];
         start.clear();
         finish.clear();
@@ -108,7 +108,7 @@ TEST(KeysHolds, MostAreNotNeeded) {
     if (!c) continue;
     const Problem p = *Problem::create(c->app, c->platform);
     std::vector<int> xpu;
-    for (const KeyPlacement& placed : c->policy.placements) xpu.push_back(placed.xpu);
+    for (const Placement& placed : c->policy.placements) xpu.push_back(placed.xpu);
     Windows w = keys_and_holds(p, c->policy);
     ASSERT_TRUE(certify(p, xpu, w)) << seed;
     // As late as each job may be held: until what it waits for has ended.
@@ -156,7 +156,7 @@ TEST(KeysHolds, GoAlsoWherePairsJoinComponents) {
     // All are held until they are ready, and what is not needed goes: the rest is as if derived anew.
     const Problem p = Problem::create(app, platform, {}, answer->policy.order).value();
     std::vector<int> xpu;
-    for (const KeyPlacement& placed : answer->policy.placements) xpu.push_back(placed.xpu);
+    for (const Placement& placed : answer->policy.placements) xpu.push_back(placed.xpu);
     Windows w = keys_and_holds(p, answer->policy);
     derive_ready(p, 0, xpu, w);
     w.hold = w.a;

@@ -62,7 +62,7 @@ Tiny tiny(std::uint64_t seed, int levels) {
     t.c.app.modules.push_back({x.module, 1, false});
     t.c.app.xnodes.push_back(x);
     t.c.app.chains.push_back({x.name, i, i, {}, 1});
-    KeyPlacement placed;
+    Placement placed;
     placed.xpu = 0;
     placed.key_us = {j.key};
     if (j.hold > 0) placed.hold_us = {j.hold};

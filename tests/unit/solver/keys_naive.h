@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Plays a KeyPolicy straight from the text of docs/keys.md, event by event over all jobs of
+// Plays a Policy straight from the text of docs/keys.md, event by event over all jobs of
 // a few hyperperiods, and tells what was broken. Shares nothing with solver/keys.
 //
 // Times are integers of 1 / `scale` us. One clock's release n is at begin + slow * n * period, with
@@ -14,8 +14,8 @@
 #include <vector>
 
 #include "model/app.h"
-#include "model/key_policy.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "solver/random.h"
 
 namespace xauto::solver::keys {
@@ -35,7 +35,7 @@ class NaiveRun {
  public:
   using Time = std::int64_t;
 
-  NaiveRun(const AppSpec& app, const Platform& platform, const KeyPolicy& policy, int activations,
+  NaiveRun(const AppSpec& app, const Platform& platform, const Policy& policy, int activations,
            const Disturbance& how)
       : app_(app), platform_(platform), policy_(policy), random_(how.seed) {
     for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
@@ -158,7 +158,7 @@ class NaiveRun {
     std::vector<std::vector<Time>> late(app_.sources.size());
     for (std::size_t i = 0; i < app_.xnodes.size(); ++i) {
       const int source = first_source_[at(component_[i])];
-      const KeyPlacement& placed = policy_.placements[i];
+      const Placement& placed = policy_.placements[i];
       for (int n = 0; nominal(source, n) < horizon; ++n) {
         Job j;
         j.xnode = static_cast<int>(i);
@@ -372,7 +372,7 @@ class NaiveRun {
 
   const AppSpec& app_;
   const Platform& platform_;
-  const KeyPolicy& policy_;
+  const Policy& policy_;
   Random random_;
   Time scale_ = 1;
   std::vector<Time> begin_;
@@ -385,9 +385,8 @@ class NaiveRun {
 };
 
 /// `plays` runs, each disturbed its own way: a third at WCETs, a third far below them. What was broken first, or nothing.
-inline std::string play_naively(const AppSpec& app, const Platform& platform,
-                                const KeyPolicy& policy, int plays, int activations,
-                                std::int64_t& jobs) {
+inline std::string play_naively(const AppSpec& app, const Platform& platform, const Policy& policy,
+                                int plays, int activations, std::int64_t& jobs) {
   for (int k = 0; k < plays; ++k) {
     Disturbance how;
     how.seed = static_cast<std::uint64_t>(k) + 1;

@@ -211,7 +211,7 @@ TEST(KeysSolve, AHintIsKeptAndProvenAgain) {
   ASSERT_EQ(b->outcome, Outcome::kPolicy);
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     EXPECT_EQ(b->policy.placements[i].xpu, a->policy.placements[i].xpu);
-  KeyPolicy other = a->policy;
+  Policy other = a->policy;
   other.placements.pop_back();
   options.hint = &other;
   EXPECT_FALSE(solve(app, platform, options));
@@ -260,7 +260,7 @@ TEST(KeysSolve, NoAnswerIsWorseThanItsHint) {
     ASSERT_TRUE(before) << seed;
     if (before->outcome != Outcome::kPolicy) continue;
     ++asked;
-    for (const KeyPlacement& placed : before->policy.placements) {
+    for (const Placement& placed : before->policy.placements) {
       by_activation += placed.key_us.size() > 1;
       held += !placed.hold_us.empty();
     }
@@ -274,7 +274,7 @@ TEST(KeysSolve, NoAnswerIsWorseThanItsHint) {
       EXPECT_TRUE(check(app, platform, after->policy)) << seed;
     }
     // Of one that is not certified nothing is believed.
-    KeyPolicy wrong = before->policy;
+    Policy wrong = before->policy;
     wrong.placements.front().key_us.front() = 0;
     Options options = brief(30);
     options.hint = &wrong;
@@ -289,7 +289,7 @@ TEST(KeysSolve, NoAnswerIsWorseThanItsHint) {
   EXPECT_GT(held, 40);
 }
 
-std::vector<int> elsewhere(const KeyPolicy& a, const KeyPolicy& b) {
+std::vector<int> elsewhere(const Policy& a, const Policy& b) {
   std::vector<int> xnodes;
   for (std::size_t i = 0; i < a.placements.size(); ++i)
     if (a.placements[i].xpu >= 0 && a.placements[i].xpu != b.placements[i].xpu)
@@ -360,7 +360,7 @@ TEST(KeysSolve, AHintNeedNotKnowAllXNodes) {
   const Result<Answer> a = solve(app, platform, brief(300));
   ASSERT_TRUE(a);
   ASSERT_EQ(a->outcome, Outcome::kPolicy);
-  KeyPolicy older = a->policy;
+  Policy older = a->policy;
   older.placements.back() = {};
   Options options = brief(300);
   options.hint = &older;
@@ -369,7 +369,7 @@ TEST(KeysSolve, AHintNeedNotKnowAllXNodes) {
   ASSERT_TRUE(b);
   ASSERT_EQ(b->outcome, Outcome::kPolicy);
   EXPECT_TRUE(b->moved.empty());
-  for (KeyPlacement& placed : older.placements) placed = {};
+  for (Placement& placed : older.placements) placed = {};
   EXPECT_FALSE(solve(app, platform, options));
 }
 

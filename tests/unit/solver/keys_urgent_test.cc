@@ -57,7 +57,7 @@ TEST(KeysUrgent, APolicySaysHowMuchSoonerAnUrgentReleaseIs) {
 TEST(KeysUrgent, WhatTheOthersPayIsTheUrgentWork) {
   AppSpec app = two_chains(2000, 10'000'000);
   // By hand: an ordinary and an urgent camera job, back to back in any phase, beside the lane's job.
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.placements = {{0, {4000}}, {0, {9000}}};
@@ -75,14 +75,14 @@ TEST(KeysUrgent, WhatTheOthersPayIsTheUrgentWork) {
 
 TEST(KeysUrgent, ChecksRefuseWhatUrgencyBreaks) {
   const AppSpec app = two_chains();
-  KeyPolicy policy = solved(app, one_cpu()).policy;
-  const auto refusal = [&](const AppSpec& of, KeyPolicy changed) {
+  Policy policy = solved(app, one_cpu()).policy;
+  const auto refusal = [&](const AppSpec& of, Policy changed) {
     changed.app_hash = of.hash();
     const auto report = check(of, one_cpu(), changed);
     return report ? std::string() : report.error().to_string();
   };
   EXPECT_EQ(refusal(app, policy), "");
-  KeyPolicy lies = policy;
+  Policy lies = policy;
   *lies.chains[0].urgent_worst_case_us -= 1;
   EXPECT_NE(refusal(app, lies).find("urgent_worst_case_us is"), std::string::npos);
   lies.chains[0].urgent_worst_case_us.reset();
@@ -97,7 +97,7 @@ TEST(KeysUrgent, AnUrgentReleaseDoesNotOvertakeTheOneBefore) {
   // Keys 12000 and then 4000 a period of 10000 later: an urgent one is earlier by at most 2000.
   AppSpec app = two_chains(2000);
   app.sources[1].period = {20'000};
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.placements = {{0, {12'000, 4000}}, {0, {19'000}}};
   app.modules[0].max_in_flight = 2;
@@ -117,7 +117,7 @@ TEST(KeysUrgent, UrgencyLoadsNothingForLong) {
   // 20 % and 70 %: with every urgent job beside an ordinary one it would be 110 %.
   AppSpec app = two_chains(2000, 10'000);
   app.xnodes[1].wcet_us["cpu"] = 14'000;
-  KeyPolicy policy;
+  Policy policy;
   policy.app = app.name;
   policy.app_hash = app.hash();
   policy.placements = {{0, {4000}}, {0, {20'000}}};

@@ -361,7 +361,8 @@ ManyScenarios with_losses(std::uint64_t seed) {
   options.certify = true;
   options.time_limit_s = 1e9;
   options.max_evaluations = 2000;
-  const Policy slow = solve(app_under(c.app, c.scenarios.list[1]), c.platform, options).value();
+  const PriorityPlan slow =
+      solve(app_under(c.app, c.scenarios.list[1]), c.platform, options).value();
   c.app.deadline_us = slow.lower_bound_us * 85 / 100;
   return c;
 }

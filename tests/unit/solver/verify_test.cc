@@ -20,7 +20,7 @@ namespace {
 struct Case {
   AppSpec app;
   Platform platform;
-  Policy policy;
+  PriorityPlan policy;
 };
 
 /// A policy whose every number is true and says as much as can be said.
@@ -119,7 +119,7 @@ TEST(Verify, RejectsAWrongLatency) {
 
 TEST(Verify, RejectsAWrongStart) {
   Case c = truthful(20, 1);
-  for (Placement& p : c.policy.placements)
+  for (PriorityPlacement& p : c.policy.placements)
     if (p.start_us > 0) {
       --p.start_us;
       break;
@@ -462,7 +462,7 @@ TEST(Verify, ABrokenPinAndAMissedDeadlineAreNamed) {
   platform.xpus = {{"cpu0", "cpu", true, 0, 0, -1}, {"gpu0", "gpu", true, 0, 0, -1}};
   SolveOptions options;
   options.max_evaluations = 500;
-  const Policy policy = *solve(app, platform, options);
+  const PriorityPlan policy = *solve(app, platform, options);
   ASSERT_EQ(policy.latency_us, 8);
   VerifyOptions asked;
   asked.asked.pins = {{"camera", "cpu"}};

@@ -21,7 +21,7 @@ struct Loop {
   AppSpec app;
   Platform platform{"p", {{"cpu0", "cpu"}, {"cpu1", "cpu"}}};
   Scene scene;
-  KeyPolicy keys;
+  Policy keys;
   trace::Recording trace;
 
   Loop() {

@@ -13,7 +13,7 @@ using test::count;
 struct Drawn {
   AppSpec app;
   Platform platform{"p", {{"c0", "cpu"}}};
-  KeyPolicy policy;
+  Policy policy;
 
   Drawn() {
     app.name = "a<b";

@@ -148,7 +148,7 @@ TEST(EmulationAgrees, UnderTheCoordinatorsDecisionsWithTheRuleThatPoliciesArePla
             random() % 12 == 0)
           decision.order.emplace_back(u, v);
     const solver::Simulation simulated = solver::simulate(*problem, decision);
-    const Policy policy = solver::make_policy(app, platform, *problem, decision, "random");
+    const PriorityPlan policy = solver::make_policy(app, platform, *problem, decision, "random");
     const auto emulated = bench::emulate(app, platform, policy);
     ASSERT_TRUE(emulated) << emulated.error().to_string();
     ASSERT_EQ(emulated->finish_us, simulated.finish) << "seed " << seed;

@@ -81,11 +81,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   static const AppSpec app = parse_app(kApp, "app").value(), once = fuzz::golden_app();
   for (const AppSpec* of : {&app, &once}) {
     const auto read = [&](std::string_view text) {
-      return parse_key_policy(text, fuzz::kOrigin, *of, platform);
+      return parse_policy(text, fuzz::kOrigin, *of, platform);
     };
     fuzz::check_read(
         read({reinterpret_cast<const char*>(data), size}),
-        [&](const KeyPolicy& policy) { return to_json(policy, *of, platform); }, read);
+        [&](const Policy& policy) { return to_json(policy, *of, platform); }, read);
   }
   const auto tables = [](std::string_view text) {
     return parse_tables(text, fuzz::kOrigin, app, platform);

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// PriorityPlan: one release of all XNodes by priorities: what the one-release solver finds, what a Policy is written
+// from (model/policy.h), and what ranks threads.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+
+namespace xauto {
+
+/// Where one XNode runs and how urgent it is. Priority: larger is more urgent, everywhere in XAuto.
+struct PriorityPlacement {
+  int xpu = -1;               ///< index into Platform::xpus
+  std::int64_t priority = 0;  ///< unique per XPU instance
+  std::int64_t start_us = 0;  ///< predicted, every job at its WCET, all sources released at 0
+  std::int64_t finish_us = 0;
+  bool operator==(const PriorityPlacement&) const = default;
+};
+
+struct PriorityPlan {
+  std::string app;                            ///< AppSpec::name
+  std::string app_hash;                       ///< AppSpec::hash()
+  std::string platform;                       ///< Platform::name, for people
+  std::string method;                         ///< "ilp", "search", "heft", "local", "auto"
+  std::vector<PriorityPlacement> placements;  ///< one per AppSpec::xnodes entry, same order
+  /// Run-time order constraints (u, v) between XNodes of one XPU: v is not started before u has
+  /// finished, even when the XPU is idle. They remove timing anomalies (docs/solver.md).
+  std::vector<std::pair<int, int>> order;
+  std::int64_t latency_us = 0;  ///< makespan of the predicted schedule, with `order` enforced
+  std::int64_t lower_bound_us =
+      0;                 ///< proven: no PriorityPlan for this app and platform is shorter
+  bool optimal = false;  ///< proven: latency_us == lower_bound_us
+  /// Bounds every execution that kWorstCaseScope (model/claims.h) is about; nullopt: not certified.
+  std::optional<std::int64_t> worst_case_us;
+  std::int64_t solve_ms = 0;
+  bool operator==(const PriorityPlan&) const = default;
+};
+
+/// What can be said without a simulator: the policy is for this app (name and hash), every XNode is
+/// on an XPU of a type it has an implementation for, priorities are unique per XPU, order pairs are
+/// between XNodes of one XPU and acyclic together with the edges, times are in range.
+/// Order pairs: of XNodes that are there, on one XPU (`xpu_of`), each once, without a cycle with the edges.
+[[nodiscard]] Status validate_order(const std::vector<std::pair<int, int>>& order,
+                                    const std::vector<int>& xpu_of, const AppSpec& app);
+[[nodiscard]] Status validate(const PriorityPlan& policy, const AppSpec& app,
+                              const Platform& platform);
+
+}  // namespace xauto
