@@ -86,15 +86,17 @@ void verify_keys(const AppSpec& app, const Platform& platform, const Tables& tab
     const Scenario envelope = xauto::envelope(tables, t, app);
     const std::string name = "table '" + tables.tables[t].name + "': ";
     const Loss& loss = tables.tables[t].loss;
-    const auto report = keys::check(app_under(app, envelope, loss),
-                                    platform_with(platform_under(platform, envelope), loss.off),
-                                    keys_under(tables, t, app, platform, envelope));
-    if (report)
+    const auto report = keys::examine(app_under(app, envelope, loss),
+                                      platform_with(platform_under(platform, envelope), loss.off),
+                                      keys_under(tables, t, app, platform, envelope));
+    if (!report)
+      all.lies.push_back(name + report.error().to_string());
+    else if (report->lies.empty())
       all.shown.push_back(name +
                           "every job ends by its key and every chain within its worst case, " +
                           "at the longest WCETs of all that it serves");
     else
-      all.lies.push_back(name + report.error().to_string());
+      for (const Error& lie : report->lies) all.lies.push_back(name + lie.to_string());
   }
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s)
     for (std::size_t c = 0; c < app.chains.size(); ++c)
@@ -102,7 +104,7 @@ void verify_keys(const AppSpec& app, const Platform& platform, const Tables& tab
           tables.keys[at(tables.serves[s].table)].chains[c].worst_case_us)
         all.lies.push_back("scenario '" + tables.scenarios[s].name + "': chain '" +
                            app.chains[c].name + "' has a worst case below its lower bound");
-  all.taken.push_back("the lower bounds of the scenarios");
+  all.taken.emplace_back("the lower bounds of the scenarios");
 }
 
 /// Keys of a table with a claim for every chain of the app, since derive_handover looks at all of them.

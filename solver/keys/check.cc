@@ -10,29 +10,42 @@
 namespace xauto::solver::keys {
 namespace checking {
 
-Status compare(const ChainClaim& claim, ChainProof& proof) {
+void compare(const ChainClaim& claim, ChainProof& proof, CheckReport& report) {
   const std::string where = "chain '" + proof.name + "'";
   const auto lies = [&](std::string what) {
-    return fail(ErrorCode::kInfeasible, std::move(what), where, "solve again");
+    report.lies.push_back({ErrorCode::kInfeasible, std::move(what), where, "solve again"});
   };
   proof.claimed_us = claim.worst_case_us;
   proof.claimed_bound_us = claim.lower_bound_us;
   if (proof.derived_us > claim.worst_case_us)
-    return lies(fmt::format("worst_case_us is {}, what follows is {}, along {}",
-                            claim.worst_case_us, proof.derived_us, fmt::join(proof.path, " > ")));
+    lies(fmt::format("worst_case_us is {}, what follows is {}, along {}", claim.worst_case_us,
+                     proof.derived_us, fmt::join(proof.path, " > ")));
   if (proof.urgent_us.has_value() != claim.urgent_worst_case_us.has_value())
-    return lies(proof.urgent_us ? "no urgent_worst_case_us, and its source may be urgent"
-                                : "urgent_worst_case_us, and its source is never urgent");
-  if (proof.urgent_us && *proof.urgent_us > *claim.urgent_worst_case_us)
-    return lies(fmt::format("urgent_worst_case_us is {}, what follows is {}",
-                            *claim.urgent_worst_case_us, *proof.urgent_us));
+    lies(proof.urgent_us ? "no urgent_worst_case_us, and its source may be urgent"
+                         : "urgent_worst_case_us, and its source is never urgent");
+  else if (proof.urgent_us && *proof.urgent_us > *claim.urgent_worst_case_us)
+    lies(fmt::format("urgent_worst_case_us is {}, what follows is {}", *claim.urgent_worst_case_us,
+                     *proof.urgent_us));
   if (claim.lower_bound_us > proof.derived_us)
-    return lies(fmt::format("lower_bound_us is {}, but this policy is never longer than {}",
-                            claim.lower_bound_us, proof.derived_us));
+    lies(fmt::format("lower_bound_us is {}, but this policy is never longer than {}",
+                     claim.lower_bound_us, proof.derived_us));
+  else if (claim.lower_bound_us > proof.own_bound_us)
+    report.taken.push_back(fmt::format("{}: that none is shorter than {} us; shown is {} us", where,
+                                       claim.lower_bound_us, proof.own_bound_us));
   if (claim.optimal && claim.lower_bound_us != claim.worst_case_us)
-    return lies(fmt::format("optimal, with a lower bound of {} and a worst case of {}",
-                            claim.lower_bound_us, claim.worst_case_us));
-  return {};
+    lies(fmt::format("optimal, with a lower bound of {} and a worst case of {}",
+                     claim.lower_bound_us, claim.worst_case_us));
+}
+
+/// Keeps a lie, and goes on behind it. Null: it is one, or `status` has what else is wrong.
+template <class T>
+T* shown(Result<T>& made, CheckReport& report, Status& status) {
+  if (made) return &*made;
+  if (made.error().code == ErrorCode::kInfeasible)
+    report.lies.push_back(made.error());
+  else if (status)
+    status = tl::unexpected<Error>(made.error());
+  return nullptr;
 }
 
 }  // namespace checking
@@ -44,16 +57,21 @@ Status check_places(const AppSpec& app, const Platform& platform, const Policy& 
   return {};
 }
 
-Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Policy& policy) {
+Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const Policy& policy) {
   if (!policy.certified)
     return fail(ErrorCode::kInvalid, "is not certified: it claims nothing that could be derived",
                 "policy", "`xauto solve` says what would make it certified");
-  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy));
+  CheckReport report;
+  Status sense;
+  Result<checking::World> derived = checking::derive(app, platform, policy);
+  const checking::World* world = checking::shown(derived, report, sense);
+  XAUTO_TRY(sense);
+  if (world == nullptr) return report;
+  const checking::World& w = *world;
   if (policy.chains.size() != app.chains.size())
     return fail(ErrorCode::kInvalid,
                 fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
                 "policy");
-  CheckReport report;
   for (const auto& windows : w.windows) {
     std::vector<JobWindow>& list = report.windows.emplace_back();
     for (const checking::Window& window : windows) list.push_back({w.us(window.a), w.us(window.d)});
@@ -62,7 +80,14 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Po
   for (const Placement& placed : policy.placements)
     longest_us = std::max(longest_us, *std::ranges::max_element(placed.key_us));
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
-    XAUTO_ASSIGN(XpuProof proof, checking::prove_load(w, static_cast<int>(m)));
+    Result<XpuProof> load = checking::prove_load(w, static_cast<int>(m));
+    XpuProof* found = checking::shown(load, report, sense);
+    XAUTO_TRY(sense);
+    if (found == nullptr) {
+      report.xpus.emplace_back().xpu = platform.xpus[m].id;
+      continue;
+    }
+    XpuProof& proof = *found;
     if (app.one_at_a_time && longest_us > 0) {  // no release takes longer
       proof.load *= static_cast<double>(proof.repeats_us) / static_cast<double>(longest_us);
       proof.repeats_us = static_cast<double>(longest_us);
@@ -75,7 +100,11 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Po
           ErrorCode::kInvalid,
           fmt::format("chain {} is '{}', not '{}'", k, policy.chains[k].name, app.chains[k].name),
           "policy");
-    XAUTO_ASSIGN(ChainProof proof, checking::derive_chain(w, k, false));
+    Result<ChainProof> chain = checking::derive_chain(w, k, false);
+    ChainProof* found = checking::shown(chain, report, sense);
+    XAUTO_TRY(sense);
+    if (found == nullptr) break;
+    ChainProof& proof = *found;
     proof.claimed_urgent_us = policy.chains[k].urgent_worst_case_us;
     if (app.sources[at(app.chains[k].from)].urgent) {
       XAUTO_ASSIGN(const ChainProof urgent, checking::derive_chain(w, k, true));
@@ -83,9 +112,20 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Po
     }
     proof.name = app.chains[k].name;
     proof.deadline_us = app.chains[k].deadline_us;
-    XAUTO_TRY(checking::compare(policy.chains[k], proof));
+    checking::compare(policy.chains[k], proof, report);
     report.chains.push_back(std::move(proof));
   }
+  // Chains follow from keys that are kept.
+  if (std::ranges::any_of(report.xpus, [](const XpuProof& proof) { return proof.kind.empty(); })) {
+    report.chains.clear();
+    report.taken.clear();
+  }
+  return report;
+}
+
+Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Policy& policy) {
+  XAUTO_ASSIGN(CheckReport report, examine(app, platform, policy));
+  if (!report.lies.empty()) return tl::unexpected<Error>(report.lies.front());
   return report;
 }
 

@@ -3,8 +3,7 @@
 // every window, on every XPU a schedule or a demand curve, and each chain's worst case. Shares no
 // code with the search. The theory and its proofs: docs/keys-check.md.
 //
-// A refusal is an Error: kInfeasible where the policy claims what does not follow, with XNode,
-// activation, XPU and instant; kInvalid where the input makes no sense.
+// A lie is an Error, with XNode, activation, XPU and instant.
 #pragma once
 
 #include <cstdint>
@@ -56,12 +55,20 @@ struct JobWindow {
 };
 
 struct CheckReport {
-  std::vector<XpuProof> xpus;
+  std::vector<XpuProof> xpus;  ///< [xpu]; `kind` empty: a lie says what is not shown
   std::vector<std::vector<JobWindow>> windows;  ///< [xnode][activation mod size]
-  std::vector<ChainProof> chains;
+  std::vector<ChainProof> chains;               ///< of the app's, up to what could not be derived
+  /// Each says what is claimed, and what follows instead. Where a window is false nothing more is derived.
+  std::vector<Error> lies;
+  /// Claimed, neither shown nor false: lower bounds above the check's own.
+  std::vector<std::string> taken;
 };
 
-/// kInvalid, too, of a policy that is not certified: it claims nothing that could follow.
+/// All that is false, shown, or taken on trust. kInvalid: the input makes no sense, or the policy is not certified and
+/// claims nothing that could follow.
+[[nodiscard]] Result<CheckReport> examine(const AppSpec& app, const Platform& platform,
+                                          const Policy& policy);
+/// Refuses what lies, with the first lie, which is kInfeasible.
 [[nodiscard]] Result<CheckReport> check(const AppSpec& app, const Platform& platform,
                                         const Policy& policy);
 

@@ -66,6 +66,10 @@ std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
       out += "it has none\n";
       continue;
     }
+    if (proof.kind.empty()) {
+      out += "not shown\n";
+      continue;
+    }
     out += fmt::format("{} of {} jobs in {}", proof.kind, proof.jobs, ms_of(proof.repeats_us));
     if (!proof.xnode.empty())
       out += fmt::format("; tightest {} {}: {} free of {}", proof.xnode, proof.activation,
@@ -176,6 +180,7 @@ Json objective_of(const AppSpec& app, const keys::Answer& answer, keys::Aim aim)
 Json proofs(const keys::CheckReport& report) {
   Json list = Json::array();
   for (const keys::XpuProof& proof : report.xpus) {
+    if (proof.kind.empty()) continue;
     Json j = {
         {"xpu", proof.xpu}, {"proof", proof.kind}, {"load", proof.load}, {"jobs", proof.jobs}};
     if (!proof.xnode.empty())
@@ -761,10 +766,15 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Pol
     return tl::unexpected<Error>(stated.error());
   const int status = stated && broken.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
-    Json root = {{"schema", "xauto.check"},        {"version", 2},
-                 {"truthful", stated.has_value()}, {"certified", false},
-                 {"lies", Json::array()},          {"missed", broken},
-                 {"proofs", Json::array()},        {"chains", Json::array()}};
+    Json root = {{"schema", "xauto.check"},
+                 {"version", 2},
+                 {"truthful", stated.has_value()},
+                 {"certified", false},
+                 {"lies", Json::array()},
+                 {"taken", Json::array()},
+                 {"missed", broken},
+                 {"proofs", Json::array()},
+                 {"chains", Json::array()}};
     if (!stated) root["lies"].push_back(stated.error().to_string());
     std::cout << root.dump(2) << "\n";
   } else if (!stated) {
@@ -787,36 +797,26 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
   XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
   XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
   if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
-  const auto report = keys::check(app, platform, policy);
-  if (!report && report.error().code != ErrorCode::kInfeasible)
-    return tl::unexpected<Error>(report.error());
-  Json root = {{"schema", "xauto.check"}, {"version", 2}, {"truthful", report.has_value()}};
-  if (!report) {
-    if (options.json) {
-      root["lies"] = Json::array();
-      root["lies"].push_back(report.error().to_string());
-      std::cout << root.dump(2) << "\n";
-    } else {
-      std::cout << "  LIE    " << report.error().to_string() << "\n\n" << path << " lies.\n";
-    }
-    return kAnswerIsNo;
-  }
+  XAUTO_ASSIGN(const keys::CheckReport report, keys::examine(app, platform, policy));
+  std::vector<std::string> lies;
+  for (const Error& lie : report.lies) lies.push_back(lie.to_string());
   std::vector<std::string> missed = broken;
-  for (const keys::ChainProof& chain : report->chains)
+  for (const keys::ChainProof& chain : report.chains)
     if (chain.late())
       missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
                                    ms(*chain.deadline_us)));
-  const int status = missed.empty() ? kDone : kAnswerIsNo;
+  const int status = lies.empty() && missed.empty() ? kDone : kAnswerIsNo;
   std::vector<std::vector<std::string>> paths;  // [chain]
   WholePaths whole(app, platform, policy);
-  for (std::size_t c = 0; c < report->chains.size(); ++c)
-    paths.push_back(names_on_path(app, whole.of(app.chains[c], report->chains[c].path), c));
+  for (std::size_t c = 0; c < report.chains.size(); ++c)
+    paths.push_back(names_on_path(app, whole.of(app.chains[c], report.chains[c].path), c));
   if (options.json) {
-    root["missed"] = missed;
-    root["lies"] = Json::array();
-    root["proofs"] = proofs(*report);
-    for (std::size_t c = 0; c < report->chains.size(); ++c) {
-      const keys::ChainProof& chain = report->chains[c];
+    Json root = {{"schema", "xauto.check"},  {"version", 2},
+                 {"truthful", lies.empty()}, {"lies", lies},
+                 {"missed", missed},         {"taken", report.taken},
+                 {"proofs", proofs(report)}, {"chains", Json::array()}};
+    for (std::size_t c = 0; c < report.chains.size(); ++c) {
+      const keys::ChainProof& chain = report.chains[c];
       Json j = {{"name", chain.name},
                 {"worst_case_us", chain.derived_us},
                 {"claimed_us", chain.claimed_us},
@@ -833,11 +833,14 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
     std::cout << root.dump(2) << "\n";
     return status;
   }
-  std::cout << proof_table(policy, *report);
-  std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
-                           "the worst path");
-  for (std::size_t c = 0; c < report->chains.size(); ++c) {
-    const keys::ChainProof& chain = report->chains[c];
+  for (const std::string& lie : lies) std::cout << "  LIE    " << lie << "\n";
+  if (!report.windows.empty())
+    std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
+  if (!report.chains.empty())
+    std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
+                             "the worst path");
+  for (std::size_t c = 0; c < report.chains.size(); ++c) {
+    const keys::ChainProof& chain = report.chains[c];
     std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
                              ms(chain.claimed_us), fmt::join(paths[c], " > "),
                              chain.late() ? "   MISSED" : "");
@@ -846,7 +849,11 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
                                ms(chain.claimed_urgent_us.value_or(0)));
   }
   for (const std::string& wish : broken) std::cout << "  MISSED " << wish << "\n";
-  std::cout << fmt::format("\n{} tells the truth: {}.\n", path, scope_of(app.one_at_a_time))
+  for (const std::string& taken : report.taken) std::cout << "  taken  " << taken << "\n";
+  std::cout << (lies.empty()
+                    ? fmt::format("\n{} tells the truth: {}.\n", path, scope_of(app.one_at_a_time))
+                    : fmt::format("\n{} lies: {} of its statements {} false.\n", path, lies.size(),
+                                  lies.size() == 1 ? "is" : "are"))
             << words_of_missed(missed);
   return status;
 }

@@ -291,6 +291,49 @@ TEST(KeysCheck, NoPathVisitsAComponentTwice) {
   EXPECT_TRUE(refused(c, "XNode 'b' does not hear of source 's0'"));
 }
 
+/// Each of them: whoever mends the first and asks again would wait for each next one.
+TEST(KeysCheck, TellsAllThatIsFalse) {
+  Case c = empty();
+  c.platform.xpus.push_back({"cpu1", "cpu", true, 0, 0, -1});
+  for (int i = 0; i < 3; ++i) {
+    xnode(c, source(c, 1000), i, 300, {300});
+    chain(c, i, i, 300);
+    c.policy.chains.back().lower_bound_us = 300;
+    c.policy.chains.back().optimal = true;
+  }
+  ASSERT_TRUE(checked(c));
+  const auto truth = examine(c.app, c.platform, c.policy);
+  ASSERT_TRUE(truth) << truth.error().to_string();
+  EXPECT_TRUE(truth->lies.empty() && truth->taken.empty());
+  EXPECT_EQ(truth->chains.size(), 3u);
+  EXPECT_TRUE(check(c.app, c.platform, c.policy));
+
+  Case bad = c;
+  bad.policy.chains[0].worst_case_us = 299;  // and so is not its bound
+  bad.policy.chains[2] = {"chain2", 299, 301, false};
+  const auto lies = examine(bad.app, bad.platform, bad.policy);
+  ASSERT_TRUE(lies) << lies.error().to_string();
+  std::string said;
+  for (const Error& lie : lies->lies) said += lie.to_string() + "\n";
+  EXPECT_EQ(lies->lies.size(), 4u) << said;
+  EXPECT_EQ(check(bad.app, bad.platform, bad.policy).error().to_string(),
+            lies->lies[0].to_string());
+
+  // One CPU is too full: nothing follows of the chains.
+  bad = c;
+  bad.policy.placements[2].xpu = 0;
+  const auto full = examine(bad.app, bad.platform, bad.policy);
+  ASSERT_TRUE(full) << full.error().to_string();
+  EXPECT_EQ(full->lies.size(), 1u);
+  EXPECT_TRUE(full->chains.empty());
+  EXPECT_TRUE(full->xpus[0].kind.empty());
+  EXPECT_FALSE(full->xpus[1].kind.empty());
+
+  bad = c;
+  bad.app.chains[0].to = bad.app.chains[1].to = bad.app.chains[2].to = 7;
+  EXPECT_EQ(examine(bad.app, bad.platform, bad.policy).error().code, ErrorCode::kInvalid);
+}
+
 // ------------------------------------------------------------------------------ what is refused
 
 TEST(KeysCheck, MalformedInputIsRefusedAndNothingElseHappens) {
