@@ -47,7 +47,9 @@ std::string one_line(const std::vector<std::string>& lines) {
 /// Whether something is claimed of this flow, in words.
 std::string claim_words(const FlowCounts& flow, const ClaimCounts& claims, bool tables) {
   if (flow.worst_case_us == 0)
-    return tables ? "of releases, see their status" : "none: no certified worst case";
+    return tables           ? "of releases, see their status"
+           : claims.claimed ? "none of this; see the chains of app.json"
+                            : "none: no certified worst case";
   if (claims.stands()) return "stands";
   return "not claimed here: " + one_line(claims.broken);
 }
@@ -77,7 +79,7 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
   if (lost > 0) found.add(Level::kWarn, fmt::format("{} activations lost", lost));
 
   // In time are results that come within a period and the limit of each other. Two periods: one of
-  // them may be late or lost before it is a delay that goes on.
+  // them may be late or lost before it is a delay that goes on. Where there is no limit the longest so far is it.
   std::int64_t delay_us = -1;
   bool goes_on = false;
   const std::int64_t most_us = limit_us > 0 && now.period_us > 0 ? 2 * now.period_us + limit_us : 0;
@@ -101,7 +103,9 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
           : -1;
   if (!off && now.results == 0)
     found.add(Level::kStale, "no result yet");
-  else if (!off && (most_us > 0 ? silent_us > most_us : now.results == before.results))
+  else if (!off && (most_us > 0         ? silent_us > most_us
+                    : now.period_us > 0 ? silent_us > 2 * now.period_us + now.longest_us
+                                        : now.results == before.results))
     found.add(Level::kStale, fmt::format("no result for {} ms", millis(silent_us)));
   if (found.message.empty())
     found.message = limit_us == 0     ? "there is nothing to hold results against"

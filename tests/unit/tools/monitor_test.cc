@@ -130,6 +130,22 @@ TEST(Diagnostics, WhoIsSilentIsStale) {
   EXPECT_EQ(value(chain_of(begins, nullptr), "processing_time_ms"), "n/a");
 }
 
+/// Looked at more often than it releases, a chain without a limit is not silent at each look.
+TEST(Diagnostics, WhoHasNoLimitIsSilentAfterTwoPeriodsAndItsLongest) {
+  const auto without = [](std::int64_t ago_ms) {
+    RunLook now = look(11 * kSecond, ago_ms);
+    FlowCounts& chain = now.counts.chains[0];
+    chain.worst_case_us = chain.allowed_us = chain.deadline_us = chain.limit_us = 0;
+    return now;
+  };
+  const RunLook before = without(10);
+  EXPECT_EQ(chain_of(without(247), &before).level, Level::kOk);  // 2 * 100 + 48 ms
+  const Diagnostic d = chain_of(without(249), &before);
+  EXPECT_EQ(d.level, Level::kStale);
+  EXPECT_EQ(d.message, "no result for 249.000 ms");
+  EXPECT_EQ(value(d, "claim"), "none of this; see the chains of app.json");
+}
+
 TEST(Diagnostics, WhereNothingIsClaimedThereIsNoThreshold) {
   const RunLook before = look(10 * kSecond);
   RunLook now = look(11 * kSecond);
