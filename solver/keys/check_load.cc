@@ -261,6 +261,28 @@ class Load {
     ++proof_.charged;
   }
 
+  /// Whether j is behind i by edges and order. All pairs at once: that is a bit for each, and no walk of the graph.
+  bool follows(int i, int j) const {
+    if (behind_.empty()) find_behind();
+    const std::size_t k = number_[at(j)];
+    return (behind_[at(i)][k / 64] >> (k % 64) & 1) != 0;
+  }
+  void find_behind() const {
+    const std::size_t n = w_.app.xnodes.size();
+    number_.assign(n, 0);
+    std::size_t here = 0;
+    for (std::size_t x = 0; x < n; ++x)
+      if (w_.policy.placements[x].xpu == m_) number_[x] = here++;
+    behind_.assign(n, std::vector<std::uint64_t>(here / 64 + 1));
+    for (auto at_x = w_.order.rbegin(); at_x != w_.order.rend(); ++at_x)
+      for (const int v : w_.after[at(*at_x)]) {
+        std::vector<std::uint64_t>& mine = behind_[at(*at_x)];
+        for (std::size_t k = 0; k < mine.size(); ++k) mine[k] |= behind_[at(v)][k];
+        if (w_.policy.placements[at(v)].xpu == m_)
+          mine[number_[at(v)] / 64] |= std::uint64_t{1} << (number_[at(v)] % 64);
+      }
+  }
+
   /// Phases are known.
   bool may_preempt(const Item& i, int j, std::vector<std::int64_t>& lags) const {
     const Component& c = w_.home(j);
@@ -272,6 +294,9 @@ class Load {
       // It is one distance that drifts: by no length of it has a window that is not longer begun before and ends after.
       if (other.d - other.e <= i.window.d - i.window.a) continue;
       if (w_.part_of[at(j)] == w_.part_of[at(i.xnode)]) {
+        // An activation of j waits for the same one of i, or for none before the next.
+        if (n == i.activation && follows(i.xnode, j)) continue;
+        if (n <= i.activation) return true;
         if (lags.empty()) lags = w_.lags_after(i.xnode);
         const std::int64_t first = i.activation + lags[at(j)];  // waits for i
         if (n >= first) {
@@ -862,6 +887,9 @@ class Load {
   int m_;
   std::vector<Group> groups_;
   XpuProof proof_;
+  mutable std::vector<std::vector<std::uint64_t>>
+      behind_;                               ///< [xnode] bits by number_; empty: not asked for
+  mutable std::vector<std::size_t> number_;  ///< [xnode] of those on this XPU
   bool blocks_ = false;  ///< some job may be on the last level while another one waits
   Ticks slack_ = kMaxTicks;
   __int128 steps_ = 0;

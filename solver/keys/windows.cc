@@ -202,6 +202,45 @@ void admit(const Problem& p, int domain, const Windows& w, Windows& of) {
   }
 }
 
+/// XNodes of one component with one activation each, whose windows meet those of no other release.
+bool meet_in_one_release(const Problem& p, const Windows& w, const std::vector<int>& here) {
+  if (here.empty()) return false;
+  const int c = p.component_of[at(here.front())];
+  const Component& component = p.components[at(c)];
+  if (component.jobs != 1 || p.domains[at(component.domain)].ppm != 0) return false;
+  Tick least = kForever, most = 0;
+  for (const int i : here) {
+    const std::size_t s = at(p.slot[at(i)]);
+    if (p.component_of[at(i)] != c || w.a[s] > component.period) return false;
+    least = std::min(least, w.d[s]);
+    most = std::max(most, w.d[s]);
+  }
+  return most - component.period <= least;
+}
+
+/// As charge() does with Pair, of such: of 7 000 XNodes in a twentieth of the time.
+void charge_one_release(const Problem& p, const Windows& w, const std::vector<int>& here, int m,
+                        bool costs, bool limited, Charges& out) {
+  std::vector<Tick> d, e, last;
+  for (const int j : here) {
+    d.push_back(w.d[at(p.slot[at(j)])]);
+    e.push_back(w.e[at(p.slot[at(j)])]);
+    last.push_back(out.last_start[at(p.slot[at(j)])]);
+  }
+  for (const int i : here) {
+    const std::size_t s = at(p.slot[at(i)]);
+    const auto meets = [&](const std::vector<Tick>& starts, std::size_t k) {
+      return d[k] > w.d[s] && starts[k] < w.a[s] && here[k] != i && !p.before(i, here[k]) &&
+             !p.before(here[k], i);
+    };
+    for (std::size_t k = 0; costs && k < here.size() && out.preempts[s] == 0; ++k)
+      if (meets(e, k)) out.preempts[s] = 1;
+    for (std::size_t k = 0; limited && k < here.size(); ++k)
+      if (meets(last, k))
+        out.blocked_by[s] = std::max(out.blocked_by[s], work_of_blocker(p, here[k], m));
+  }
+}
+
 /// Urgent releases and the others, as of two domains.
 void charge_urgent(const Problem& p, const std::vector<int>& here, const Windows& w,
                    const Windows& u, Charges& out) {
@@ -331,9 +370,11 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, con
       return p.domain_of(i) != p.domain_of(here[at(m)].front());
     });
     if (limited) Levels(p, w, u, p.levels[at(m)]).set_last_starts(here[at(m)], out.last_start);
+    const bool alone = meet_in_one_release(p, w, here[at(m)]);
+    if (alone) charge_one_release(p, w, here[at(m)], m, costs, limited, out);
     for (const int i : here[at(m)])
       for (const int j : here[at(m)]) {
-        if (i == j) continue;
+        if (i == j || alone) continue;
         const auto slots = [&](const std::vector<Tick>& starts, const auto& act) {
           const Pair pair(p, w, starts, i, j, shared);
           for (int n = 0; n < p.jobs[at(i)]; ++n) act(pair, n, at(p.slot[at(i)] + n));
