@@ -295,7 +295,8 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes));
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
   Answer answer;
-  if (std::optional<OverloadProof> proof = prove_overload(p)) {
+  // Releases that wait for each other leave time for any: validate(AppSpec) refuses longer ones.
+  if (std::optional<OverloadProof> proof = app.one_at_a_time ? std::nullopt : prove_overload(p)) {
     answer.outcome = Outcome::kUnsustainable;
     answer.overload = std::move(*proof);
     return answer;
