@@ -286,6 +286,13 @@ class Load {
   /// Phases are known.
   bool may_preempt(const Item& i, int j, std::vector<std::int64_t>& lags) const {
     const Component& c = w_.home(j);
+    // Of most pairs of one component only the jobs of one release can meet: what is below says the same.
+    const Window& one = w_.windows[at(j)].front();
+    if (w_.component_of[at(j)] == w_.component_of[at(i.xnode)] && c.ppm == 0 &&
+        w_.windows[at(j)].size() == 1 && i.window.a - one.e < c.period &&
+        one.d - c.period <= i.window.d)
+      return one.d > i.window.d && one.e < i.window.a && one.d - one.e > i.window.d - i.window.a &&
+             !follows(i.xnode, j);
     for (std::int64_t n = last_started(j, i.release, i.window.a);; --n) {
       const Window& other = w_.window(j, n);
       const Ticks delta = c.phi + n * c.period - i.release;
