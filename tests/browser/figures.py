@@ -18,7 +18,7 @@ STYLE = """:root { --fg:#1c1f24; --dim:#646b76; --line:#e3e6ea; --lane:#f4f5f7; 
 @media (prefers-color-scheme: dark) { :root { --fg:#e7e9ed; --dim:#9aa2ae; --line:#30353d; --lane:#22262d; --card:#14161a; --ink:#0b0c0e } }
 text { fill:var(--fg); font:11px system-ui, sans-serif } text.dim { fill:var(--dim) } .grid { stroke:var(--line) } .lane { fill:var(--lane) }
 text.latency { font-weight:650 } .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
-text.label { fill:var(--ink); font-size:10px } .plan { fill:none; stroke-width:1.2; opacity:.8 }"""
+text.label { fill:var(--ink); font-size:10px }"""
 
 
 def schedule(page, panel):
