@@ -358,7 +358,7 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
         "<div class='card'><h2>" + html_safe(trace.title) + "</h2><p class='dim'>" +
         html_safe(trace.note) +
         fmt::format(", {} releases, {} activations dropped", trace.releases.size(), trace.dropped) +
-        (traces[i].fact.empty() ? "" : "; " + html_safe(traces[i].fact)) + "</p>";
+        "</p>";
     if (trace.lost > 0)
       page.sections += fmt::format(
           "<p><b>Incomplete: the trace lost {} events.</b> Numbers below are of what is there.</p>",

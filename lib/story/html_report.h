@@ -12,8 +12,7 @@
 namespace xauto::story {
 
 struct ReportedTrace {
-  std::string id;    ///< the file's name without folder and suffix
-  std::string fact;  ///< what report.json adds, for people; may be empty
+  std::string id;  ///< the file's name without folder and suffix
   ReadTrace trace;
 };
 

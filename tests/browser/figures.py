@@ -3,7 +3,7 @@
 """The pictures in docs/img that our own pages give: schedules as SVG, the report in light and dark as PNG.
 
     build/bin/xauto compare --app examples/driving/app.json --platform small --out build/demo -- build/bin/driving
-    build/bin/xauto report build/demo/heft.pftrace --report build/demo/report.json --out build/demo/report.html
+    build/bin/xauto report build/demo/heft.pftrace --out build/demo/report.html
     tests/browser/figures.py build/demo docs/img
 """
 import os

@@ -347,7 +347,7 @@ TEST(Report, ThePageHoldsTheNumbersAndEscapesNames) {
   tiny.release(2000, 1);
   const auto trace = read_trace(tiny.file(), "t.pftrace");
   ASSERT_TRUE(trace) << trace.error().to_string();
-  const std::string page = html_report({{"xauto", "", *trace}});
+  const std::string page = html_report({{"xauto", *trace}});
   EXPECT_EQ(page.find("<img"), std::string::npos);
   EXPECT_NE(page.find("Slowest release of all: 0, 0.72 ms"), std::string::npos);
   EXPECT_NE(page.find("off the XPU for 0.214 ms, preempted by cam.infer 0"), std::string::npos);
@@ -391,7 +391,7 @@ TEST(Report, ThePageAndTheTraceTellChangesOfTheScenario) {
             "slow & hot fast table 0 back");
   EXPECT_EQ(second.spanned_us, -1);
   EXPECT_EQ(second.worst_case_us, -1);
-  const std::string page = html_report({{"xauto", "", *trace}});
+  const std::string page = html_report({{"xauto", *trace}});
   for (const char* text : {"Changes of the scenario: 2<", "overrun: cam.infer", "slow &amp; hot",
                            "a release, took 0.64 ms of 0.90 (fast to slow &amp; hot, release 1)",
                            "<td>17</td>", "worst cases: kept"})
@@ -399,7 +399,7 @@ TEST(Report, ThePageAndTheTraceTellChangesOfTheScenario) {
   tiny.scene.tables = nullptr;
   const auto one_policy = read_trace(tiny.file(), "t.pftrace");
   ASSERT_TRUE(one_policy);
-  EXPECT_EQ(html_report({{"xauto", "", *one_policy}}).find("Scenarios"), std::string::npos);
+  EXPECT_EQ(html_report({{"xauto", *one_policy}}).find("Scenarios"), std::string::npos);
 }
 
 TEST(Report, FilesThatAreNoTraceOfOursAreRefused) {
@@ -431,7 +431,7 @@ TEST(Report, ADamagedTraceIsReadOrRefused) {
   for (int round = 0; round < 2000; ++round) {
     std::string bytes = good;
     for (int k = 0; k < 3; ++k) bytes[random() % bytes.size()] = static_cast<char>(random() & 0xff);
-    if (const auto trace = read_trace(bytes, "t.pftrace")) (void)html_report({{"t", "", *trace}});
+    if (const auto trace = read_trace(bytes, "t.pftrace")) (void)html_report({{"t", *trace}});
   }
 }
 
