@@ -35,13 +35,6 @@ Result<UniqueFd> open_node(const std::string& path) {
 
 }  // namespace
 
-bool DriverQueue::gpu_is_here() {
-  return access(kGpuCtrl, R_OK | W_OK) == 0;
-}
-bool DriverQueue::dla_is_here(int instance) {
-  return access(dla_node(instance).c_str(), R_OK | W_OK) == 0;
-}
-
 Result<DriverQueue> DriverQueue::open_gpu() {
   DriverQueue queue;
   queue.gpu_ = true;

@@ -20,9 +20,6 @@ class DriverQueue {
   [[nodiscard]] static Result<DriverQueue> open_gpu();
   /// A queue on DLA `instance`.
   [[nodiscard]] static Result<DriverQueue> open_dla(int instance);
-  /// Are the emulators' nodes here?
-  [[nodiscard]] static bool gpu_is_here();
-  [[nodiscard]] static bool dla_is_here(int instance);
 
   [[nodiscard]] Status submit(std::chrono::nanoseconds duration);
   /// Until all that was submitted has finished; `timeout_ms` < 0: for ever. False: not yet.

@@ -58,7 +58,7 @@ inline constexpr std::int32_t kHasScheduler = 41;
 inline constexpr std::int32_t kPriorities = 1 << 1, kPreemption = 1 << 2, kThreeBuckets = 1 << 5;
 inline constexpr std::uint64_t kPriority = 6;
 /// Above 0 needs CAP_SYS_NICE.
-inline constexpr int kLeastPriority = -1023, kMostPriority = 1023;
+inline constexpr int kLeastPriority = -1023;
 
 /// Whether it is this driver's; `call` is an ioctl.
 template <class Call>

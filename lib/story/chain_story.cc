@@ -9,10 +9,11 @@
 #include <fmt/format.h>
 
 #include "base/index.h"
-#include "story/account.h"
 
 namespace xauto::story {
 namespace {
+
+constexpr std::size_t kMostNames = 3;
 
 std::vector<const TraceReactions::One*> by_reaction(const TraceReactions& chain) {
   std::vector<const TraceReactions::One*> list;
@@ -133,6 +134,15 @@ class Tracer {
     return list;
   }
 
+  static void add(std::vector<Blocker>& list, const Blocker& by) {
+    const auto at =
+        std::find_if(list.begin(), list.end(), [&](const Blocker& b) { return b.who == by.who; });
+    if (at == list.end())
+      list.push_back(by);
+    else
+      at->us += by.us;
+  }
+
   [[nodiscard]] std::int64_t since(std::int64_t ns) const { return (ns - zero_ns_) / 1000; }
 
   [[nodiscard]] StoryJob job_of(const std::vector<std::size_t>& parts) const {
@@ -145,8 +155,13 @@ class Tracer {
     job.began_us = since(first.begin_ns);
     job.ready_us = job.began_us - first.waited_us;
     job.ended_us = since(last.end_ns);
-    for (const std::size_t part : parts)
-      job.ran_us += (trace_.run[part].end_ns - trace_.run[part].begin_ns) / 1000;
+    std::int64_t off_ns = first.end_ns;
+    for (const std::size_t part : parts) {
+      const TraceSlice& piece = trace_.run[part];
+      job.ran_us += (piece.end_ns - piece.begin_ns) / 1000;
+      for (const Blocker& by : on_row(first, off_ns, piece.begin_ns)) add(job.preempted_by, by);
+      off_ns = piece.end_ns;
+    }
     if (first.since_release_us) job.released_us = job.began_us - *first.since_release_us;
     if (job.released_us && first.key_us) job.key_us = *job.released_us + *first.key_us;
     if (first.held_us > 0) job.held_until_us = std::min(job.began_us, job.ready_us + first.held_us);
@@ -168,12 +183,39 @@ class Tracer {
   std::set<Job> seen_;  ///< by trace_back
 };
 
+/// With their shares, unless one alone had the whole time.
+std::string names_of(const std::vector<Blocker>& list, std::int64_t whole) {
+  std::string out;
+  for (std::size_t i = 0; i < std::min(kMostNames, list.size()); ++i) {
+    const Blocker& b = list[i];
+    const bool all = list.size() == 1 && b.us >= whole - whole / 10;
+    out += (out.empty() ? "" : ", ") + b.who + (all ? "" : " (" + in_ms(b.us) + ")");
+  }
+  if (list.size() > kMostNames) out += fmt::format(" and {} others", list.size() - kMostNames);
+  return out;
+}
+
 std::string or_dash(const std::optional<std::int64_t>& us, bool sign = false) {
   if (!us) return "-";
   return sign ? fmt::format("{:+.3f}", static_cast<double>(*us) / 1000) : in_ms(*us);
 }
 
 }  // namespace
+
+std::string in_ms(std::int64_t us) {
+  return fmt::format("{:.3f}", static_cast<double>(us) / 1000);
+}
+
+std::string waited_text(std::int64_t us, const std::vector<Blocker>& waited_for) {
+  std::string text = "waited " + in_ms(us) + " ms";
+  if (waited_for.empty()) return text + ", nobody had the XPU";
+  std::int64_t had_us = 0;
+  for (const Blocker& one : waited_for) had_us += one.us;
+  text += " for " + names_of(waited_for, us);
+  if (us - had_us >= kWorthSayingUs)
+    text += "; for " + in_ms(us - had_us) + " ms of it nobody had the XPU";
+  return text;
+}
 
 const TraceReactions::One* worst_of(const TraceReactions& chain) {
   const auto list = by_reaction(chain);
@@ -226,7 +268,8 @@ std::string reasons_of(const StoryJob& job) {
     say(waited_text(job.began_us - free_us, job.waited_for));
   if (const std::int64_t off_us = job.ended_us - job.began_us - job.ran_us;
       off_us >= kWorthSayingUs)
-    say("off the XPU for " + in_ms(off_us) + " ms");
+    say("off the XPU for " + in_ms(off_us) + " ms" +
+        (job.preempted_by.empty() ? "" : ", preempted by " + names_of(job.preempted_by, off_us)));
   return out;
 }
 

@@ -11,10 +11,15 @@
 
 #include <xauto/result.h>
 
-#include "story/account.h"
 #include "story/trace_reader.h"
 
 namespace xauto::story {
+
+/// Who had the XPU meanwhile, and for how much of the time.
+struct Blocker {
+  std::string who;  ///< "XNODE RELEASE"
+  std::int64_t us = 0;
+};
 
 /// A message that a job's activation has read of a topic that does not fire it.
 struct StoryRead {
@@ -33,6 +38,7 @@ struct StoryJob {
   std::optional<std::int64_t> held_until_us;        ///< likewise; nullopt: it was not held
   std::int64_t late_us = 0;  ///< of a job that a sensor fires: ready so long after the release
   std::vector<Blocker> waited_for;          ///< who had its XPU while it was ready, and not held
+  std::vector<Blocker> preempted_by;        ///< ... between its begin and its end, when it had not
   std::optional<std::int64_t> lateness_us;  ///< end less key; negative: early
   std::vector<StoryRead> reads;
 };
@@ -66,10 +72,19 @@ inline constexpr std::size_t kMostStoryJobs = 500;
 [[nodiscard]] Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
                                           const TraceReactions::One& release);
 
+/// Waits below this are not told.
+inline constexpr std::int64_t kWorthSayingUs = 50;
+
+/// "waited 3.100 ms for a 7 (3.000)", and for how long of it nobody had the XPU.
+[[nodiscard]] std::string waited_text(std::int64_t us, const std::vector<Blocker>& waited_for);
+
 /// Why a job did not end sooner, in words; empty: nothing but its work.
 [[nodiscard]] std::string reasons_of(const StoryJob& job);
 
 /// For people, without the verdict on the claims.
 [[nodiscard]] std::string story_text(const ChainStory& story);
+
+/// "26.104"
+[[nodiscard]] std::string in_ms(std::int64_t us);
 
 }  // namespace xauto::story

@@ -6,13 +6,11 @@
 
 #include <algorithm>
 #include <map>
-#include <numeric>
 #include <sstream>
 
 #include <fmt/format.h>
 
 #include "base/quantile.h"
-#include "story/account.h"
 #include "story/chain_story.h"
 #include "story/timeline.h"
 
@@ -25,30 +23,18 @@ std::string ms(std::int64_t us) {
   return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
 }
 
-/// "LD 12" is the output of module LD.
-std::string module_of(const TraceSlice& output) {
-  return output.name.substr(0, output.name.rfind(' '));
-}
-
-Latencies latencies_of(const std::vector<TraceRelease>& releases) {
+Latencies latencies_of(const std::vector<TraceResult>& results) {
   Latencies list;
-  for (const TraceRelease& release : releases)
-    if (release.latency_us >= 0) list.push_back(release.latency_us);
+  for (const TraceResult& result : results) list.push_back(result.latency_us);
   return list;
 }
 
 std::map<std::string, Latencies> latencies_by_output(const ReadTrace& trace) {
-  std::map<std::int64_t, std::int64_t> begin;
-  for (const TraceRelease& release : trace.releases)
-    if (release.latency_us >= 0) begin.emplace(release.number, release.begin_ns);
   std::map<std::string, Latencies> out;
-  for (const TraceSlice& slice : trace.run) {
-    if (slice.category != "done") continue;
-    const auto at = begin.find(slice.release);
-    if (at != begin.end()) out[module_of(slice)].push_back((slice.begin_ns - at->second) / 1000);
+  for (const TraceOutputs& outputs : trace.outputs) {
+    Latencies& list = out[outputs.module] = latencies_of(outputs.results);
+    std::sort(list.begin(), list.end());
   }
-  for (const TraceChain& chain : trace.chains) out[chain.name] = latencies_of(chain.results);
-  for (auto& [name, list] : out) std::sort(list.begin(), list.end());
   return out;
 }
 
@@ -83,7 +69,7 @@ std::string window_of(const ReadTrace& trace) {
                            static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9);
 }
 
-std::string chains_section(const ReadTrace& trace) {
+std::string outputs_section(const ReadTrace& trace) {
   const auto outputs = latencies_by_output(trace);
   if (outputs.empty()) return "<p class='dim'>No latency: no result is in the trace.</p>";
   std::int64_t from = outputs.begin()->second.front(), to = from;
@@ -187,44 +173,6 @@ std::string story_section(const ReadTrace& trace, const TraceReactions& chain) {
   return html + "</table>";
 }
 
-/// `chain`: null with one rate.
-std::string worst_section(const ReadTrace& trace, const TraceRelease* worst,
-                          const TraceChain* chain) {
-  if (worst == nullptr) return {};
-  const auto account =
-      chain != nullptr ? account_of(trace, *chain, *worst) : account_of(trace, worst->number);
-  if (!account) return "<p class='dim'>" + html_safe(account.error().to_string()) + "</p>";
-  std::int64_t ran = 0;
-  for (const ChainStep& step : account->steps) ran += step.ran_us;
-  const bool planned = std::any_of(account->steps.begin(), account->steps.end(),
-                                   [](const ChainStep& step) { return step.planned_us >= 0; });
-  std::string html = fmt::format(
-      "<h2>Slowest release{}{}: {}, {} ms</h2><p class='dim'>Backwards from the last "
-      "output, always to the one that handed over last. {} ms of it is work. What the steps took "
-      "adds "
-      "up to the latency.</p><table class='worst'><tr><th>step</th><th "
-      "style='text-align:left'>on</th>"
-      "<th>took</th><th>begins</th><th>ends</th><th>work</th>{}"
-      "<th style='text-align:left'>why not sooner</th></tr>",
-      chain != nullptr ? " of " + html_safe(chain->name) : "", window_of(trace), worst->number,
-      ms(worst->latency_us), ms(ran), planned ? "<th>planned work</th>" : "");
-  for (const ChainStep& step : account->steps)
-    html += fmt::format(
-        "<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
-        "<td>{}</td>{}<td style='text-align:left'>{}</td></tr>",
-        html_safe(step.xnode), html_safe(step.xpu), in_ms(step.took_us()), ms(step.begin_us),
-        ms(step.end_us), ms(step.ran_us),
-        !planned              ? ""
-        : step.planned_us < 0 ? "<td></td>"
-                              : "<td>" + ms(step.planned_us) + "</td>",
-        html_safe(reasons_of(step, kWorthSayingUs)));
-  return html + fmt::format(
-                    "<tr><td>published</td><td></td><td>{}</td><td></td><td>{}</td><td></td>"
-                    "{}<td></td></tr></table>",
-                    in_ms(account->publish_us), ms(account->latency_us),
-                    planned ? "<td></td>" : "");
-}
-
 /// Of a run with tables: its scenarios, the last changes with their reasons, and what met them.
 std::string tables_section(const ReadTrace& trace) {
   if (trace.scenarios.empty() && trace.changes.empty()) return {};
@@ -319,60 +267,6 @@ std::string policy_of(const ReadTrace& trace) {
   return colon == std::string::npos ? trace.title : trace.title.substr(colon + 2);
 }
 
-/// What all panels have: the numbers, and which release is shown.
-Panel numbers_of(const ReadTrace& trace, const std::vector<TraceRelease>& releases,
-                 const TraceRelease* shown) {
-  Panel panel;
-  panel.rows = trace.rows;
-  panel.latencies_us = latencies_of(releases);
-  Latencies sorted = panel.latencies_us;
-  std::sort(sorted.begin(), sorted.end());
-  if (!sorted.empty()) {
-    panel.p50_us = quantile_of_sorted(sorted, 0.5);
-    panel.p99_us = quantile_of_sorted(sorted, 0.99);
-    panel.max_us = sorted.back();
-  }
-  if (shown != nullptr) {
-    panel.shown_sequence = shown->number;
-    panel.shown_latency_us = shown->latency_us;
-    panel.shown = "the slowest";
-  }
-  return panel;
-}
-
-Panel panel_of(const std::string& id, const ReadTrace& trace, const TraceRelease* worst) {
-  Panel panel = numbers_of(trace, trace.releases, worst);
-  panel.id = id;
-  panel.name = policy_of(trace);
-  if (worst == nullptr) return panel;
-  const auto us = [&](std::int64_t ns) { return (ns - worst->begin_ns) / 1000; };
-  std::map<std::string, std::string> module;
-  std::map<std::string, std::int64_t> waited;
-  for (const TraceSlice& s : trace.run) {
-    if (s.release != worst->number || s.category == "done") continue;
-    const bool switching = s.category == "switch";
-    const std::string name = switching ? s.name.substr(s.name.find(' ') + 1) : s.name;
-    module[name] = s.module;
-    if (!switching && s.waited_us > waited[name]) {
-      const std::int64_t off = s.waited_us - waited[name];
-      panel.measured.push_back({s.row, name, s.module, us(s.begin_ns) - off, us(s.begin_ns),
-                                s.part == 1 ? BarKind::kWait : BarKind::kSuspended});
-      waited[name] = s.waited_us;
-    }
-    panel.measured.push_back({s.row, name, s.module, us(s.begin_ns), us(s.end_ns),
-                              switching ? BarKind::kSwitch : BarKind::kRun});
-  }
-  for (const TraceSlice& s : trace.plan) {
-    if (s.release != worst->number) continue;
-    const bool switching = s.name.rfind("switch: ", 0) == 0;
-    const std::string name = switching ? s.name.substr(s.name.find(' ') + 1) : s.name;
-    panel.predicted.push_back({s.row, name, module[name], us(s.begin_ns), us(s.end_ns),
-                               switching ? BarKind::kSwitch : BarKind::kRun});
-    panel.predicted_us = std::max(panel.predicted_us.value_or(0), us(s.end_ns));
-  }
-  return panel;
-}
-
 std::string id_of(const ReportedTrace& reported, std::size_t number) {
   const bool plain = !reported.id.empty() &&
                      std::all_of(reported.id.begin(), reported.id.end(), [](unsigned char c) {
@@ -383,22 +277,32 @@ std::string id_of(const ReportedTrace& reported, std::size_t number) {
 
 }  // namespace
 
-std::vector<Panel> chain_panels(const std::string& id, const std::string& name,
-                                const ReadTrace& trace) {
+std::vector<Panel> output_panels(const std::string& id, const std::string& name,
+                                 const ReadTrace& trace) {
   std::vector<Panel> panels;
-  for (const TraceChain& chain : trace.chains) {
-    const TraceRelease* worst = worst_of(chain.results);
-    Panel panel = numbers_of(trace, chain.results, worst);
+  for (const TraceOutputs& outputs : trace.outputs) {
+    const TraceResult& worst = *std::max_element(
+        outputs.results.begin(), outputs.results.end(),
+        [](const TraceResult& a, const TraceResult& b) { return a.latency_us < b.latency_us; });
+    Panel panel;
     panel.id = id + "-" + std::to_string(panels.size());
-    panel.name = name + ": " + chain.name;
-    // Others' releases, too: with several rates they are what is waited for.
+    panel.name = name + ": " + outputs.module;
+    panel.rows = trace.rows;
+    panel.latencies_us = latencies_of(outputs.results);
+    Latencies sorted = panel.latencies_us;
+    std::sort(sorted.begin(), sorted.end());
+    panel.p50_us = quantile_of_sorted(sorted, 0.5);
+    panel.p99_us = quantile_of_sorted(sorted, 0.99);
+    panel.max_us = sorted.back();
+    panel.shown_sequence = worst.number;
+    panel.shown_latency_us = worst.latency_us;
+    // Others' releases, too: they are what is waited for.
     for (const TraceSlice& s : trace.run) {
-      if (worst == nullptr || s.category == "done" || s.end_ns <= worst->begin_ns ||
-          s.begin_ns >= worst->end_ns)
+      if (s.category == "done" || s.end_ns <= worst.begin_ns || s.begin_ns >= worst.end_ns)
         continue;
       const bool switching = s.category == "switch";
       const auto us = [&](std::int64_t ns) {
-        return (std::clamp(ns, worst->begin_ns, worst->end_ns) - worst->begin_ns) / 1000;
+        return (std::clamp(ns, worst.begin_ns, worst.end_ns) - worst.begin_ns) / 1000;
       };
       panel.measured.push_back({s.row, switching ? s.name.substr(s.name.find(' ') + 1) : s.name,
                                 s.module, us(s.begin_ns), us(s.end_ns),
@@ -450,12 +354,11 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
   for (std::size_t i = 0; i < traces.size(); ++i) {
     const ReadTrace& trace = traces[i].trace;
     if (page.title.empty()) page.title = trace.title.substr(0, trace.title.rfind(": "));
-    const TraceRelease* worst = trace.chains.empty() ? worst_of(trace.releases) : nullptr;
     page.sections +=
         "<div class='card'><h2>" + html_safe(trace.title) + "</h2><p class='dim'>" +
         html_safe(trace.note) +
         fmt::format(", {} releases, {} activations dropped", trace.releases.size(), trace.dropped) +
-        (traces[i].fact.empty() ? "" : "; " + html_safe(traces[i].fact)) + "</p>";
+        "</p>";
     if (trace.lost > 0)
       page.sections += fmt::format(
           "<p><b>Incomplete: the trace lost {} events.</b> Numbers below are of what is there.</p>",
@@ -464,18 +367,13 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
       page.sections +=
           fmt::format("<p>The trace holds {:.1f} s: {} older events were dropped.</p>",
                       static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9, trace.overwritten);
-    page.sections += counts_section("Chains", trace) + chains_section(trace);
-    if (trace.reactions.empty()) {
-      page.sections += worst_section(trace, worst, nullptr);
-      for (const TraceChain& chain : trace.chains)
-        page.sections += worst_section(trace, worst_of(chain.results), &chain);
-    }
+    page.sections += counts_section("Chains", trace) + outputs_section(trace);
     for (const TraceReactions& chain : trace.reactions)
       page.sections += story_section(trace, chain);
     page.sections += tables_section(trace) + load_section(trace) + "</div>";
-    if (trace.chains.empty()) page.panels.push_back(panel_of(id_of(traces[i], i), trace, worst));
-    for (Panel& panel : chain_panels(id_of(traces[i], i), policy_of(trace), trace))
-      page.panels.push_back(std::move(panel));
+    std::vector<Panel> panels = output_panels(id_of(traces[i], i), policy_of(trace), trace);
+    if (panels.empty()) panels.push_back({id_of(traces[i], i), policy_of(trace)});
+    for (Panel& panel : panels) page.panels.push_back(std::move(panel));
   }
   return timeline_html(page);
 }

@@ -12,15 +12,14 @@
 namespace xauto::story {
 
 struct ReportedTrace {
-  std::string id;    ///< the file's name without folder and suffix
-  std::string fact;  ///< what report.json adds, for people; may be empty
+  std::string id;  ///< the file's name without folder and suffix
   ReadTrace trace;
 };
 
-/// With several rates: a panel for each chain with what ran between its slowest release and the
-/// result. `id` is of letters, digits and '-'.
-[[nodiscard]] std::vector<Panel> chain_panels(const std::string& id, const std::string& name,
-                                              const ReadTrace& trace);
+/// A panel for each module that published: what ran between its slowest release and that result.
+/// `id` is of letters, digits and '-'.
+[[nodiscard]] std::vector<Panel> output_panels(const std::string& id, const std::string& name,
+                                               const ReadTrace& trace);
 
 /// A table of its chains beside what is claimed of them, as the whole run counted them, and what became of
 /// the claims; of a run that goes on, and where nothing is counted by chain, what the trace has, or nothing.

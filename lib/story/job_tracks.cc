@@ -60,10 +60,8 @@ void paint_counts(PerfettoWriter& out, Track group, const ChainCounts& counts,
 
 void paint_chains(PerfettoWriter& out, Track root, const AppSpec& app, const Scene& scene,
                   const Story& story) {
-  if (app.sources.empty() && scene.counts.empty()) return;
   const Track group = out.add_track(root, "chains", scene.verdict);
   for (const ChainCounts& counts : scene.counts) paint_counts(out, group, counts, story.begin_ns);
-  if (app.sources.empty()) return;
   std::vector<std::vector<Span>> spans(std::min(app.chains.size(), kMaxChains));
   for (const Reaction& reaction : reactions_of(app, story)) {
     if (at(reaction.chain) >= spans.size()) break;  // they come by chain

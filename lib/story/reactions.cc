@@ -135,7 +135,7 @@ class Follower {
           last == kNothing ? newest : std::max(last + 1, newest - kMostSkipped + 1);
       for (std::int64_t k = first; k <= newest; ++k)
         if (const auto found = released_.find({chain.from, k}); found != released_.end()) {
-          const ReleaseSpan& release = story_.releases[at(found->second)];
+          const Release& release = story_.releases[at(found->second)];
           const bool urgent =
               release.urgent &&
               story_.activations[at(story_.jobs[at(j)].activation)].urgent_source == chain.from;
@@ -156,7 +156,6 @@ class Follower {
 }  // namespace
 
 std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story) {
-  if (app.sources.empty()) return {};
   auto parts = find_components(app);
   if (!parts) return {};
   return Follower(app, story, std::move(*parts)).follow();

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Flows: one arrow per edge of the app and release, from the last slice of the XNode that hands
-// over to the first of the one that takes, so that a viewer follows what really waited for what.
-// With several rates numbers of releases mean nothing across modules: an activation's arrows come
-// from what it took. A trace that does not tell what it took has arrows inside modules only.
+// Flows: one arrow per edge inside a module and activation, from the last slice of the XNode that
+// hands over to the first of the one that takes, so that a viewer follows what really waited for
+// what. Numbers of releases mean nothing across modules: an activation's arrows come from what it
+// took. A trace that does not tell what it took has arrows inside modules only.
 #include "story/run_trace.h"
 
 #include <algorithm>
@@ -114,8 +114,7 @@ class Painter {
     paint_releases();
     paint_chains(out_, root_, app_, scene_, story_);
     paint_samples(out_, root_, app_, scene_, story_, std::move(samples_));
-    paint_rows("run", "what ran on each XPU; a preempted job is cut", run_, true);
-    paint_plan();
+    paint_rows();
     paint_modules();
     paint_results();
     paint_counters();
@@ -231,7 +230,7 @@ class Painter {
         piece.details.category = runs ? "run" : "switch";
         auto& args = piece.details.args;
         args.emplace_back("release", static_cast<std::int64_t>(job.sequence));
-        if (story_.several_rates && job.activation >= 0)
+        if (job.activation >= 0)
           args.emplace_back("activation", static_cast<std::int64_t>(job.activation));
         args.emplace_back("module", app_.xnodes[static_cast<std::size_t>(job.xnode)].module);
         if (runs) {
@@ -274,10 +273,9 @@ class Painter {
 
   std::int64_t begin_of(int piece) const { return run_[static_cast<std::size_t>(piece)].begin; }
 
-  /// Which jobs belong together: of one release, or with several rates of one activation.
-  [[nodiscard]] std::int64_t key_of(const JobStory& job) const {
-    return story_.several_rates && job.activation >= 0 ? job.activation
-                                                       : static_cast<std::int64_t>(job.sequence);
+  /// Which jobs belong together: of one activation, as far as that is known.
+  [[nodiscard]] static std::int64_t key_of(const JobStory& job) {
+    return job.activation >= 0 ? job.activation : static_cast<std::int64_t>(job.sequence);
   }
   [[nodiscard]] const std::vector<Take>& takes_of(int activation) const {
     static const std::vector<Take> kNone;
@@ -292,12 +290,6 @@ class Painter {
     std::map<std::pair<int, std::int64_t>, std::size_t> job_of;  // (XNode, key)
     for (std::size_t j = 0; j < story_.jobs.size(); ++j)
       job_of.try_emplace({story_.jobs[j].xnode, key_of(story_.jobs[j])}, j);
-    std::map<std::uint64_t, std::size_t> release_of;
-    for (std::size_t r = 0; r < story_.releases.size(); ++r)
-      release_of.try_emplace(story_.releases[r].sequence, r);
-    std::map<std::pair<int, std::uint64_t>, std::size_t> activation_of;
-    for (std::size_t a = 0; a < story_.activations.size(); ++a)
-      activation_of.try_emplace({story_.activations[a].module, story_.activations[a].sequence}, a);
     std::vector<int> first_job(story_.activations.size(), -1), last_job = first_job;
     for (std::size_t j = 0; j < story_.jobs.size(); ++j)
       if (const int a = story_.jobs[j].activation; a >= 0 && last_piece(j) != nullptr) {
@@ -310,8 +302,8 @@ class Painter {
     const auto predecessors = app_.predecessors();
     const auto successors = app_.successors();
     const auto within = [&](int u, int v) {
-      return !story_.several_rates || app_.xnodes[static_cast<std::size_t>(u)].module ==
-                                          app_.xnodes[static_cast<std::size_t>(v)].module;
+      return app_.xnodes[static_cast<std::size_t>(u)].module ==
+             app_.xnodes[static_cast<std::size_t>(v)].module;
     };
     for (std::size_t j = 0; j < story_.jobs.size(); ++j) {
       const JobStory& job = story_.jobs[j];
@@ -325,19 +317,11 @@ class Painter {
         if (at == job_of.end() || last_piece(at->second) == nullptr) continue;
         arrow(*last_piece(at->second), *first, begin_of(last_[at->second]) < begin_of(first_[j]));
       }
-      int own = job.activation;
-      if (!story_.several_rates) {
-        const auto at = activation_of.find({job.module, job.sequence});
-        own = at == activation_of.end() ? -1 : static_cast<int>(at->second);
-      }
+      const int own = job.activation;
       const std::vector<Take>& takes = takes_of(own);
       if (!from_somewhere) {  // its origin
         for (const Take& take : takes) connect_take(take, last_job, *first, begin_of(first_[j]));
-        if (const auto r = release_of.find(job.sequence);
-            !story_.several_rates && r != release_of.end())
-          arrow(releases_[r->second], *first,
-                story_.releases[r->second].begin_ns <= begin_of(first_[j]));
-        else if (story_.several_rates && takes.empty() && own >= 0)
+        if (takes.empty() && own >= 0)
           arrow(activations_[static_cast<std::size_t>(own)], *first,
                 story_.activations[static_cast<std::size_t>(own)].begin_ns < begin_of(first_[j]));
       }
@@ -387,35 +371,21 @@ class Painter {
   void paint_releases() {
     std::vector<Piece> spans;
     for (std::size_t r = 0; r < story_.releases.size(); ++r) {
-      const ReleaseSpan& release = story_.releases[r];
+      const Release& release = story_.releases[r];
       Piece piece{0,
                   release.begin_ns,
-                  release.end_ns,
+                  release.begin_ns,
                   fmt::format("release {}", release.sequence),
                   releases_[r],
                   0};
       piece.details.category = "release";
       auto& args = piece.details.args;
       args.emplace_back("release", static_cast<std::int64_t>(release.sequence));
-      if (release.source >= 0 && static_cast<std::size_t>(release.source) < app_.sources.size())
-        args.emplace_back("source", app_.sources[static_cast<std::size_t>(release.source)].name);
+      args.emplace_back("source", app_.sources[static_cast<std::size_t>(release.source)].name);
       if (release.urgent) args.emplace_back("urgent", std::int64_t{1});
-      const std::int64_t latency_us = (release.end_ns - release.begin_ns) / 1000;
-      if (release.fate == Fate::kDone) {
-        args.emplace_back("latency_us", latency_us);
-        if (app_.deadline_us) {
-          args.emplace_back("deadline_us", *app_.deadline_us);
-          args.emplace_back("deadline", latency_us > *app_.deadline_us ? "missed" : "met");
-        }
-      } else if (release.fate == Fate::kDropped) {
-        args.emplace_back("result", "dropped");
-      }
       spans.push_back(std::move(piece));
     }
-    paint_lanes(root_, "releases",
-                story_.several_rates ? "a sensor's message; several rates, so only when it came"
-                                     : "from the sensors' messages to the last output",
-                spans, false);
+    paint_lanes(root_, "releases", "a sensor's message: when it came", spans, false);
   }
 
   void paint_lanes(Track parent, const std::string& title, const std::string& description,
@@ -454,37 +424,16 @@ class Painter {
     return top;
   }
 
-  void paint_rows(const std::string& title, const std::string& description,
-                  std::vector<Piece>& pieces, bool measured) {
-    const Track group = out_.add_track(root_, title, description);
+  void paint_rows() {
+    const Track group =
+        out_.add_track(root_, "run", "what ran on each XPU; a preempted job is cut");
     std::vector<std::vector<Piece*>> by_row(scene_.rows.size());
-    for (Piece& piece : pieces) by_row[static_cast<std::size_t>(piece.row)].push_back(&piece);
+    for (Piece& piece : run_) by_row[static_cast<std::size_t>(piece.row)].push_back(&piece);
     for (std::size_t r = 0; r < scene_.rows.size(); ++r) {
-      const Track track = paint_lanes(group, scene_.rows[r].name + (measured ? "" : " plan"), "",
-                                      by_row[r], measured && scene_.rows[r].exclusive);
-      if (measured) paint_windows(out_, track, static_cast<int>(r), app_, scene_, story_);
+      const Track track =
+          paint_lanes(group, scene_.rows[r].name, "", by_row[r], scene_.rows[r].exclusive);
+      paint_windows(out_, track, static_cast<int>(r), app_, scene_, story_);
     }
-  }
-
-  /// Under every release; with several rates, for which there is no such plan, under the first.
-  void paint_plan() {
-    std::vector<Piece> pieces;
-    for (const ReleaseSpan& release : story_.releases) {
-      for (const solver::Slice& slice : scene_.plan) {
-        Piece piece{row_of(slice.xpu),
-                    release.begin_ns + slice.begin * 1000,
-                    release.begin_ns + slice.end * 1000,
-                    (slice.switching ? "switch: " : "") + name(slice.xnode),
-                    {},
-                    0};
-        piece.details.category = "plan";
-        piece.details.args.emplace_back("release", static_cast<std::int64_t>(release.sequence));
-        pieces.push_back(std::move(piece));
-      }
-      if (story_.several_rates) break;
-    }
-    paint_rows("plan", "the schedule as simulated, every job at its WCET, from each release on",
-               pieces, false);
   }
 
   void paint_modules() {
@@ -597,7 +546,6 @@ class Painter {
 
   /// How many activations of a module are in flight.
   void paint_in_flight(Track group) {
-    if (app_.sources.empty()) return;
     std::vector<Steps> steps(scene_.modules.size());
     for (const Activation& a : story_.activations) {
       if (a.end_ns == a.begin_ns) continue;  // it never began
@@ -643,16 +591,11 @@ class Painter {
     Steps dropped, missed;
     for (const Activation& a : story_.activations)
       if (a.fate == Fate::kDropped && !a.left_out()) dropped.emplace_back(a.end_ns, 1);
-    if (app_.deadline_us && story_.several_rates)
+    if (app_.deadline_us)
       for (const Activation& a : story_.activations)
         if (a.fate == Fate::kDone && scene_.modules[static_cast<std::size_t>(a.module)].sink &&
             a.origin_ns() > 0 && (a.end_ns - a.origin_ns()) / 1000 > *app_.deadline_us)
           missed.emplace_back(a.end_ns, 1);
-    if (app_.deadline_us && !story_.several_rates)
-      for (const ReleaseSpan& r : story_.releases)
-        if (r.fate == Fate::kDropped ||
-            (r.fate == Fate::kDone && (r.end_ns - r.begin_ns) / 1000 > *app_.deadline_us))
-          missed.emplace_back(r.end_ns, 1);
     paint_counter(group, "activations dropped", std::move(dropped));
     if (app_.deadline_us) paint_counter(group, "deadlines missed", std::move(missed));
     const Track lost = out_.add_counter(group, "trace events lost");
@@ -682,11 +625,6 @@ Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene, const
   for (const int row : scene.row_of)
     if (row < 0 || static_cast<std::size_t>(row) >= scene.rows.size())
       return fail(ErrorCode::kInternal, "an XPU has no row", "timeline");
-  for (const solver::Slice& slice : scene.plan)
-    if (slice.xnode < 0 || static_cast<std::size_t>(slice.xnode) >= app.xnodes.size() ||
-        slice.xpu < 0 || static_cast<std::size_t>(slice.xpu) >= scene.row_of.size())
-      return fail(ErrorCode::kInvalid, "the plan names an XNode or XPU that is not there",
-                  "timeline");
   return Painter(app, scene, story).paint(clock_offset_ns);
 }
 

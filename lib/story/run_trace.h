@@ -12,7 +12,6 @@
 
 #include "model/policy.h"
 #include "model/tables.h"
-#include "solver/simulate.h"
 #include "story/story.h"
 #include "story/trace_reader.h"
 
@@ -44,7 +43,6 @@ struct Scene {
   std::vector<int> row_of;  ///< XPU -> row
   std::vector<ModuleInfo> modules;
   std::vector<std::int64_t> priorities;  ///< by XNode; empty: none
-  std::vector<solver::Slice> plan;       ///< of one release, from its beginning
   const Policy* keys = nullptr;          ///< the run went by; null: by none
   const Tables* tables = nullptr;        ///< likewise
   std::vector<ScenarioInfo> scenarios;   ///< empty: the run goes on
@@ -54,7 +52,7 @@ struct Scene {
   std::string verdict;                   ///< ... and what became of it in this run
 };
 
-/// The file. Errors: the plan names what the app or the platform does not have.
+/// The file. Errors: an XPU has no row.
 [[nodiscard]] Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene,
                                                  const Story& story, std::int64_t clock_offset_ns);
 

@@ -28,7 +28,7 @@ class Reader {
         if (spec.name == modules[m].name)
           most_open_[m] = static_cast<std::size_t>(std::max<std::int64_t>(1, spec.max_in_flight));
     for (const auto& [u, v] : app.samples) readers_.insert(v);
-    if (!app.sources.empty()) learn_phases();
+    learn_phases();
   }
 
   void take(const trace::Event& event) {
@@ -87,13 +87,9 @@ class Reader {
         [](const JobStory& a, const JobStory& b) { return a.begin_ns() < b.begin_ns(); });
     sort_activations();
     story_.num_modules = modules_.size();
-    if (story_.several_rates) {
-      find_inputs();
-      find_urgent();
-      find_samples();
-    } else {
-      end_releases();
-    }
+    find_inputs();
+    find_urgent();
+    find_samples();
     name_blockers();
     return std::move(story_);
   }
@@ -120,7 +116,8 @@ class Reader {
   bool makes_sense(const trace::Event& e) const {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
-    if (e.kind == XAUTO_EV_PUBLISH || e.kind == XAUTO_EV_SWITCH) return true;
+    if (e.kind == XAUTO_EV_PUBLISH) return source_of(e.arg & ~XAUTO_RELEASE_URGENT) >= 0;
+    if (e.kind == XAUTO_EV_SWITCH) return true;
     if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HELD_UP || e.module >= modules_.size())
       return false;
     if (e.kind == XAUTO_EV_TAKE || e.kind == XAUTO_EV_SAMPLE)
@@ -132,24 +129,18 @@ class Reader {
            app_.xnodes[e.xnode].module == modules_[e.module].name;
   }
 
-  /// -1: `arg` names no source. App.json's number where it has sources, else the program's.
+  /// -1: `arg` names no source. The number is that of app.json.
   [[nodiscard]] int source_of(std::uint32_t arg) const {
     const std::uint32_t index = arg & ~XAUTO_TAKE_SOURCE;
-    const std::size_t known = app_.sources.empty() ? kMaxSources : app_.sources.size();
-    return (arg & XAUTO_TAKE_SOURCE) != 0 && index < known ? static_cast<int>(index) : -1;
-  }
-
-  [[nodiscard]] bool may_be_urgent(int source) const {
-    return !app_.sources.empty() && source >= 0 &&
-           app_.sources[static_cast<std::size_t>(source)].urgent.has_value();
+    return (arg & XAUTO_TAKE_SOURCE) != 0 && index < app_.sources.size() ? static_cast<int>(index)
+                                                                         : -1;
   }
 
   void publish(const trace::Event& e, std::int64_t ts) {
     const int source = source_of(e.arg & ~XAUTO_RELEASE_URGENT);
-    story_.several_rates |=
-        source >= 0 || !published_.emplace(e.seq, story_.releases.size()).second;
-    const bool urgent = may_be_urgent(source) && (e.arg & XAUTO_RELEASE_URGENT) != 0;
-    story_.releases.push_back({e.seq, ts, ts, Fate::kUnknown, source, urgent});
+    const bool urgent = app_.sources[static_cast<std::size_t>(source)].urgent.has_value() &&
+                        (e.arg & XAUTO_RELEASE_URGENT) != 0;
+    story_.releases.push_back({e.seq, ts, source, urgent});
   }
 
   void activate(const trace::Event& e, std::int64_t ts) {
@@ -245,12 +236,10 @@ class Reader {
   void take_input(const trace::Event& e) {
     OpenActivations& open = open_activations_[e.module];
     if (open.empty() || e.seq > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2) return;
-    story_.several_rates = true;
     const int source = source_of(e.arg);
     const auto origin_ns = static_cast<std::int64_t>(e.seq);
     Activation& activation = open.back().activation;
     activation.takes.push_back({source, source >= 0 ? -1 : static_cast<int>(e.arg), origin_ns, -1});
-    if (app_.sources.empty()) return;
     const std::int64_t later_ns =
         source < 0
             ? 0
@@ -318,15 +307,15 @@ class Reader {
     for (Activation& taker : story_.activations)
       for (Take& take : taker.takes) {
         if (take.source >= 0) {
-          auto at = std::lower_bound(
-              story_.releases.begin(), story_.releases.end(), take.origin_ns,
-              [](const ReleaseSpan& r, std::int64_t ns) { return r.begin_ns < ns; });
+          auto at =
+              std::lower_bound(story_.releases.begin(), story_.releases.end(), take.origin_ns,
+                               [](const Release& r, std::int64_t ns) { return r.begin_ns < ns; });
           const auto first = at;
           while (at != story_.releases.end() && at->begin_ns == first->begin_ns &&
-                 at->source >= 0 && at->source != take.source)
+                 at->source != take.source)
             ++at;
           if (at != story_.releases.end() && at->begin_ns <= taker.begin_ns &&
-              (at->source < 0 || at->source == take.source))
+              at->source == take.source)
             take.from = static_cast<int>(at - story_.releases.begin());
           continue;
         }
@@ -390,30 +379,6 @@ class Reader {
     }
   }
 
-  /// A release is over when every sink module is through with it.
-  void end_releases() {
-    const auto sinks = static_cast<std::size_t>(std::count_if(
-        modules_.begin(), modules_.end(), [](const ModuleInfo& m) { return m.sink; }));
-    std::vector<std::size_t> through(story_.releases.size(), 0);
-    std::vector<bool> dropped(story_.releases.size(), false), less(dropped);
-    for (const Activation& a : story_.activations)
-      if (const auto at = published_.find(a.sequence); at != published_.end() && a.left_out())
-        less[at->second] = true;
-    for (const Activation& a : story_.activations) {
-      const auto at = published_.find(a.sequence);
-      if (at == published_.end() || a.fate == Fate::kUnknown) continue;
-      ReleaseSpan& release = story_.releases[at->second];
-      const bool sink = modules_[static_cast<std::size_t>(a.module)].sink;
-      // Where a module is off, one before it may be the last.
-      if (!a.left_out() && (sink || less[at->second]))
-        release.end_ns = std::max(release.end_ns, a.end_ns);
-      if (!sink) continue;
-      dropped[at->second] = dropped[at->second] || (a.fate == Fate::kDropped && !a.left_out());
-      if (++through[at->second] == sinks)
-        release.fate = dropped[at->second] ? Fate::kDropped : Fate::kDone;
-    }
-  }
-
   /// Who ran on the XPU while a job waited for it or was suspended.
   void name_blockers() {
     struct Run {
@@ -458,7 +423,6 @@ class Reader {
   std::vector<std::int64_t> phase_ns_;             ///< [module] offset of its component
   std::vector<int> ids_;                           ///< of Story::activations; -1: it never began
   int next_id_ = 0;
-  std::map<std::uint64_t, std::size_t> published_;  ///< sequence -> index into releases
   Story story_;
 };
 

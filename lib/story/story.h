@@ -45,7 +45,7 @@ struct JobStory {
 
 enum class Fate : std::uint8_t { kDone, kDropped, kUnknown };
 
-/// With several rates: what an activation was made of.
+/// What an activation was made of.
 struct Take {
   int source = -1, module = -1;  ///< who published it; one of the two
   std::int64_t origin_ns = 0;    ///< when the sensor released it
@@ -71,19 +71,18 @@ struct Activation {
   [[nodiscard]] bool left_out() const;
   std::vector<Take> takes = {};
   std::vector<SampleRead> samples = {};
-  /// Of an app with sources: the nominal release that keys and holds count from; 0: unknown.
+  /// The nominal release that keys and holds count from; 0: unknown.
   std::int64_t released_ns = 0;
   int urgent_source = -1;  ///< that marked the release it is made of urgent; -1: none did
-  /// The oldest of what it took, from which its latency counts; 0: unknown, or one rate.
+  /// The oldest of what it took, from which its latency counts; 0: unknown.
   [[nodiscard]] std::int64_t origin_ns() const;
 };
 
-/// One release of the sensors. With several rates only its begin is known.
-struct ReleaseSpan {
-  std::uint64_t sequence = 0;
-  std::int64_t begin_ns = 0, end_ns = 0;
-  Fate fate = Fate::kUnknown;
-  int source = -1;      ///< whose; -1: of all, or not told
+/// One release of a source.
+struct Release {
+  std::uint64_t sequence = 0;  ///< each source counts its own
+  std::int64_t begin_ns = 0;
+  int source = -1;
   bool urgent = false;  ///< its source marked it so
 };
 
@@ -113,9 +112,8 @@ struct SwitchStory {
 struct Story {
   std::vector<JobStory> jobs;           ///< by begin
   std::vector<Activation> activations;  ///< by begin; a dropped one that never began has no length
-  std::vector<ReleaseSpan> releases;    ///< by begin
+  std::vector<Release> releases;        ///< by begin
   std::size_t num_modules = 0;
-  bool several_rates = false;  ///< sources count their own releases: equal numbers mean nothing
   std::int64_t begin_ns = 0, end_ns = 0;
   std::uint64_t lost = 0;         ///< events that are not there, or that make no sense
   std::uint64_t overwritten = 0;  ///< events from before `begin_ns`, where the trace begins to hold

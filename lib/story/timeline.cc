@@ -81,13 +81,10 @@ std::string timeline_html(const Timeline& timeline) {
                       {"p50", p.p50_us},
                       {"p99", p.p99_us},
                       {"max", p.max_us},
-                      {"predicted", p.predicted_us},
                       {"shown", p.shown_sequence},
                       {"shownLatency", p.shown_latency_us},
-                      {"shownIs", p.shown},
                       {"latencies", p.latencies_us},
-                      {"measured", bars_to_json(p.measured)},
-                      {"plan", bars_to_json(p.predicted)}});
+                      {"measured", bars_to_json(p.measured)}});
   const Json data = {
       {"title", timeline.title}, {"note", timeline.note}, {"panels", std::move(panels)}};
   return std::string(kHead) + "<title>" + html_safe(timeline.title) + "</title><style>\n" +

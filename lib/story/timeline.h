@@ -10,10 +10,8 @@
 namespace xauto::story {
 
 enum class BarKind : std::uint8_t {
-  kRun,        ///< on the XPU
-  kWait,       ///< ready, not on the XPU yet
-  kSuspended,  ///< preempted
-  kSwitch,     ///< context switch or preemption cost
+  kRun,     ///< on the XPU
+  kSwitch,  ///< context switch or preemption cost
 };
 
 struct Bar {
@@ -23,17 +21,16 @@ struct Bar {
   BarKind kind = BarKind::kRun;
 };
 
-/// One policy.
+/// One policy, or one output of it.
 struct Panel {
-  std::string id, name;
-  std::vector<std::string> rows;                       ///< XPU instances
-  std::optional<std::int64_t> p50_us, p99_us, max_us;  ///< missing: nothing was measured
-  std::optional<std::int64_t> predicted_us;            ///< missing: there is no plan of it
-  std::vector<std::int64_t> latencies_us;              ///< one per completed release
-  std::int64_t shown_sequence = 0;                     ///< which activation `measured` shows
+  std::string id, name = {};
+  std::vector<std::string> rows = {};  ///< XPU instances
+  std::optional<std::int64_t> p50_us = {}, p99_us = {},
+                              max_us = {};      ///< missing: nothing was measured
+  std::vector<std::int64_t> latencies_us = {};  ///< of each result; empty: nothing is shown
+  std::int64_t shown_sequence = 0;              ///< the slowest: `measured` shows it
   std::int64_t shown_latency_us = 0;
-  std::vector<Bar> measured, predicted;
-  std::string shown = {};  ///< which activation that is: "the slowest"; empty: there is none
+  std::vector<Bar> measured = {};
 };
 
 struct Timeline {

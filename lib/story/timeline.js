@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 "use strict";
-const RUN = 0, WAIT = 1, SUSPENDED = 2, SWITCH = 3;
+const RUN = 0, SWITCH = 1;
 const PALETTE = ["#E69F00","#56B4E9","#009E73","#F0E442","#5B8FF9","#D55E00","#CC79A7","#B8B8B8","#8FD175","#C9A0FF","#FFB3A7","#7FD6D0"];
 const $ = id => document.getElementById(id);
 const NS = "http://www.w3.org/2000/svg";
@@ -19,28 +19,24 @@ function html(parent, name, text, cls) {
   return e;
 }
 const ms = us => us === null ? "\u2013" : (us / 1000).toFixed(2);  // a dash: nothing was measured
-const modules = [...new Set(DATA.panels.flatMap(p => p.plan.concat(p.measured).map(b => b[2])))].sort();
+const modules = [...new Set(DATA.panels.flatMap(p => p.measured.map(b => b[2])))].sort();
 const colour = m => PALETTE[modules.indexOf(m) % PALETTE.length];
-const longest = Math.max(1000, ...DATA.panels.map(p => Math.max(p.predicted, p.shownLatency,
-  ...p.measured.map(b => b[4]), ...p.plan.map(b => b[4]))));
+const longest = Math.max(1000, ...DATA.panels.map(p => Math.max(p.shownLatency, ...p.measured.map(b => b[4]))));
 let view = [0, longest * 1.02], picked = null;
 
 $("title").textContent = DATA.title;
 $("note").textContent = DATA.note;
 
 // ---- the table: the answer in one look
-const base = DATA.panels.find(p => p.id === "ros2");
 const worst = Math.max(1, ...DATA.panels.map(p => p.p99));
-const planned = DATA.panels.some(p => p.predicted !== null);
 const head = html($("table"), "tr");
-for (const t of ["policy, end-to-end latency in ms", "p99", "", "p50", "max"].concat(planned ? ["simulated"] : [], base ? ["times faster than ROS 2 (p99)"] : [])) html(head, "th", t);
+for (const t of ["policy, end-to-end latency in ms", "p99", "", "p50", "max"]) html(head, "th", t);
 for (const p of DATA.panels) {
   const row = html($("table"), "tr");
   html(row, "td", p.name);
   html(row, "td", ms(p.p99)).style.fontWeight = 650;
   html(html(row, "td", undefined, "bar"), "div").style.width = (100 * p.p99 / worst) + "%";
-  for (const v of [p.p50, p.max].concat(planned ? [p.predicted] : [])) html(row, "td", ms(v));
-  if (base) html(row, "td", base.p99 !== null && p.p99 !== null ? (base.p99 / Math.max(1, p.p99)).toFixed(2) + "\u00d7" : "");
+  for (const v of [p.p50, p.max]) html(row, "td", ms(v));
 }
 
 // ---- the legend: click a module to single it out
@@ -55,9 +51,8 @@ for (const m of modules) {
     draw();
   };
 }
-for (const [text, style] of [["measured", "background:var(--dim)"], ...(planned ? [["plan", "border:1.5px solid var(--dim)"]] : []),
-                             ["waiting", "background:var(--dim);opacity:.25"],
-                             ["suspended or switching", "background:repeating-linear-gradient(45deg,var(--dim) 0 2px,transparent 2px 5px)"]]) {
+for (const [text, style] of [["measured", "background:var(--dim)"],
+                             ["switching", "background:repeating-linear-gradient(45deg,var(--dim) 0 2px,transparent 2px 5px)"]]) {
   const k = html($("legend"), "span", undefined, "key");
   html(k, "i").style.cssText = style;
   k.appendChild(document.createTextNode(text));
@@ -89,16 +84,15 @@ function tip(event, text) {
 }
 const hide = () => { $("tip").style.display = "none"; };
 
-const W = 1200, LEFT = 74, RIGHT = 16, LANE = 19, PLAN = 9;
+const W = 1200, LEFT = 74, RIGHT = 16, LANE = 19;
 const x = us => LEFT + (us - view[0]) / (view[1] - view[0]) * (W - LEFT - RIGHT);
 function clipped(b) { return [Math.max(b[3], view[0]), Math.min(b[4], view[1])]; }
 
 function gantt(card, p) {
   const rows = p.rows.map((name, i) => {
-    const measured = p.measured.filter(b => b[0] === i), plan = p.plan.filter(b => b[0] === i);
+    const measured = p.measured.filter(b => b[0] === i);
     const [lane, n] = lanes(measured);
-    const [planLane, planN] = lanes(plan);
-    return { name, measured, plan, lane, planLane, n, planN, height: n * LANE + planN * PLAN + 8 };
+    return { name, measured, lane, height: n * LANE + 8 };
   });
   const H = rows.reduce((s, r) => s + r.height, 0) + 26;
   const svg = el(card, "svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": "schedule under " + p.name });
@@ -123,29 +117,17 @@ function gantt(card, p) {
       if (to <= from) continue;
       const yb = y + 2 + r.lane.get(b) * LANE, w = Math.max(1, x(to) - x(from));
       const faded = picked && picked !== b[2] ? " faded" : "";
-      const fill = b[5] === SUSPENDED || b[5] === SWITCH ? `url(#h${p.id})` : colour(b[2]);
-      const bar = el(svg, "rect", { class: "bar" + faded, x: x(from), y: yb, width: w, height: LANE - 3, rx: 2, fill, "fill-opacity": b[5] === WAIT ? 0.28 : 1 });
-      const what = ["runs", "waits", "is suspended", "is being switched"][b[5]];
-      const planned = r.plan.filter(o => o[1] === b[1]);
-      bar.onmousemove = e => tip(e, `${b[1]} (${b[2]}) ${what} on ${r.name}\n${ms(b[3])} \u2013 ${ms(b[4])} ms, ${ms(b[4] - b[3])} ms` +
-        (planned.length ? `\nplan: ${ms(Math.min(...planned.map(o => o[3])))} \u2013 ${ms(Math.max(...planned.map(o => o[4])))} ms` : ""));
+      const fill = b[5] === SWITCH ? `url(#h${p.id})` : colour(b[2]);
+      const bar = el(svg, "rect", { class: "bar" + faded, x: x(from), y: yb, width: w, height: LANE - 3, rx: 2, fill });
+      const what = b[5] === SWITCH ? "is being switched" : "runs";
+      bar.onmousemove = e => tip(e, `${b[1]} (${b[2]}) ${what} on ${r.name}\n${ms(b[3])} \u2013 ${ms(b[4])} ms, ${ms(b[4] - b[3])} ms`);
       bar.onmouseleave = hide;
       const label = b[1].length * 5.6 + 8 < w ? b[1] : (b[2].length * 6 + 6 < w ? b[2] : "");
       if (b[5] === RUN && label) el(svg, "text", { class: "label" + faded, x: x(from) + 4, y: yb + 11.5 }, label);
     }
-    for (const b of r.plan) {
-      const [from, to] = clipped(b);
-      if (to <= from) continue;
-      const bar = el(svg, "rect", { class: "plan" + (picked && picked !== b[2] ? " faded" : ""), x: x(from), width: Math.max(1, x(to) - x(from)),
-        y: y + 2 + r.n * LANE + r.planLane.get(b) * PLAN, height: PLAN - 3, rx: 1.5, stroke: colour(b[2]) });
-      if (b[5] === SWITCH) bar.setAttribute("fill", `url(#h${p.id})`);
-      bar.style.fill = b[5] === SWITCH ? `url(#h${p.id})` : "transparent";
-      bar.onmousemove = e => tip(e, `plan: ${b[1]} ${b[5] === SWITCH ? "is switched to" : "runs"} on ${r.name}\n${ms(b[3])} \u2013 ${ms(b[4])} ms`);
-      bar.onmouseleave = hide;
-    }
     y += r.height;
   }
-  if (p.shownIs !== "" && p.shownLatency <= view[1] && p.shownLatency >= view[0]) {
+  if (p.shownLatency <= view[1] && p.shownLatency >= view[0]) {
     el(svg, "line", { class: "end", x1: x(p.shownLatency), x2: x(p.shownLatency), y1: 0, y2: H - 18 });
     const right = x(p.shownLatency) > W - 110;
     el(svg, "text", { class: "latency", x: x(p.shownLatency) + (right ? -5 : 5), y: 12, "text-anchor": right ? "end" : "start" }, ms(p.shownLatency) + " ms");
@@ -170,15 +152,13 @@ function draw() {
     const card = html($("panels"), "div", undefined, "card");
     const h = html(card, "div", undefined, "head");
     html(h, "h2", p.name);
-    const plan = p.predicted === null ? "" : `, simulated ${ms(p.predicted)}`;
-    if (p.shownIs === "") {
-      html(h, "span", "no result: nothing to measure" + plan, "dim");
-      if (p.plan.length) gantt(card, p);
+    if (p.latencies.length === 0) {
+      html(h, "span", "no result is in the trace", "dim");
       continue;
     }
     // The number beside the heading is the one that the chart shows.
     html(h, "span", ms(p.shownLatency) + " ms", "big");
-    html(h, "span", `${p.shownIs} of ${p.latencies.length} is shown, activation ${p.shown}; p50 ${ms(p.p50)}, p99 ${ms(p.p99)}, max ${ms(p.max)}${plan}`, "dim");
+    html(h, "span", `the slowest of ${p.latencies.length} is shown, activation ${p.shown}; p50 ${ms(p.p50)}, p99 ${ms(p.p99)}, max ${ms(p.max)}`, "dim");
     gantt(card, p);
     strip(card, p);
   }

@@ -17,12 +17,10 @@ enum class Place : std::uint8_t {
   kOther,
   kRoot,
   kRunRows,  // groups ...
-  kPlanRows,
   kChains,
   kCounters,
   kReleases,  // ... and what is drawn
   kRun,
-  kPlan,
   kChain,
   kSamples,
   kTables,
@@ -95,11 +93,6 @@ class TraceFile {
       ours_ = true;
       track.place = Place::kRun;
       track.row = row_of(track.name);
-    } else if (above == Place::kPlanRows) {
-      track.place = Place::kPlan;
-      constexpr std::size_t kSuffix = 5;  // " plan"
-      track.row =
-          row_of(track.name.substr(0, track.name.size() - std::min(kSuffix, track.name.size())));
     } else if (above == Place::kChains) {
       track.place = Place::kChain;
       track.row = chain_of(track.name);
@@ -115,8 +108,8 @@ class TraceFile {
     for (const auto& [known, place] :
          {std::pair{"releases", Place::kReleases}, std::pair{"done", Place::kDone},
           std::pair{"samples", Place::kSamples}, std::pair{"tables", Place::kTables},
-          std::pair{"run", Place::kRunRows}, std::pair{"plan", Place::kPlanRows},
-          std::pair{"chains", Place::kChains}, std::pair{"counters", Place::kCounters}})
+          std::pair{"run", Place::kRunRows}, std::pair{"chains", Place::kChains},
+          std::pair{"counters", Place::kCounters}})
       if (name == known) return place;
     return Place::kOther;
   }
@@ -171,11 +164,9 @@ class TraceFile {
     int index = -1;
     if (track.place == Place::kReleases && slice) {
       index = static_cast<int>(out_.releases.size());
-      TraceRelease release{0, ts, ts, -1, -1, {}};
+      TraceRelease release{0, ts, {}};
       for (const auto& arg : event.debug_annotations()) {
         if (arg.name() == "release") release.number = arg.int_value();
-        if (arg.name() == "latency_us") release.latency_us = arg.int_value();
-        if (arg.name() == "deadline_us") out_.deadline_us = arg.int_value();
         if (arg.name() == "source") release.source = arg.string_value();
       }
       out_.releases.push_back(std::move(release));
@@ -188,9 +179,8 @@ class TraceFile {
       take_sample(event, ts);
     } else if (track.place == Place::kTables) {
       take_table(event, ts);
-    } else if (track.place == Place::kRun || track.place == Place::kPlan ||
-               track.place == Place::kDone) {
-      auto& list = track.place == Place::kPlan ? out_.plan : out_.run;
+    } else if (track.place == Place::kRun || track.place == Place::kDone) {
+      auto& list = out_.run;
       index = static_cast<int>(list.size());
       list.push_back(slice_of(event, track.row, ts));
       for (const std::uint64_t flow : event.terminating_flow_ids())
@@ -204,9 +194,8 @@ class TraceFile {
         } else if (const auto sample = sampled_.find(flow); sample != sampled_.end()) {
           list.back().samples.push_back(sample->second);
         }
-      if (track.place == Place::kDone) take_result(event, index, ts);
-      if (track.place != Place::kPlan)
-        for (const std::uint64_t flow : event.flow_ids()) flows_[flow] = index;
+      if (track.place == Place::kDone) take_result(event, ts);
+      for (const std::uint64_t flow : event.flow_ids()) flows_[flow] = index;
     }
     if (slice) open_[event.track_uuid()].push_back(index);
     return {};
@@ -287,9 +276,8 @@ class TraceFile {
       out_.changes.push_back(std::move(change));
   }
 
-  /// Only with several rates an output has a latency of its own.
-  void take_result(const proto::TrackEvent& event, int index, std::int64_t ts) {
-    TraceRelease result{0, ts, ts, -1, index, {}};
+  void take_result(const proto::TrackEvent& event, std::int64_t ts) {
+    TraceResult result{0, ts, ts, -1};
     for (const auto& arg : event.debug_annotations()) {
       if (arg.name() == "release") result.number = arg.int_value();
       if (arg.name() == "latency_us") result.latency_us = arg.int_value();
@@ -299,10 +287,10 @@ class TraceFile {
     result.begin_ns = ts - result.latency_us * 1000;
     const std::string& name = event.name();  // "LD 12" is the output of module LD
     const std::string module = name.substr(0, name.rfind(' '));
-    auto chain = std::find_if(out_.chains.begin(), out_.chains.end(),
-                              [&](const TraceChain& c) { return c.name == module; });
-    if (chain == out_.chains.end()) chain = out_.chains.insert(chain, {module, {}});
-    chain->results.push_back(result);
+    auto of = std::find_if(out_.outputs.begin(), out_.outputs.end(),
+                           [&](const TraceOutputs& o) { return o.module == module; });
+    if (of == out_.outputs.end()) of = out_.outputs.insert(of, {module, {}});
+    of->results.push_back(result);
   }
 
   Status end(std::uint64_t uuid, const Track& track, std::int64_t ts) {
@@ -311,11 +299,8 @@ class TraceFile {
     const int index = stack.back();
     stack.pop_back();
     if (index < 0 || track.place == Place::kChain) return {};
-    const auto i = static_cast<std::size_t>(index);
-    if (track.place == Place::kReleases)
-      out_.releases[i].end_ns = ts;
-    else
-      (track.place == Place::kPlan ? out_.plan : out_.run)[i].end_ns = ts;
+    if (track.place == Place::kRun || track.place == Place::kDone)
+      out_.run[static_cast<std::size_t>(index)].end_ns = ts;
     return {};
   }
 
@@ -331,8 +316,6 @@ class TraceFile {
       if (arg.name() == "waited_us") s.waited_us = arg.int_value();
       if (arg.name() == "part") s.part = arg.int_value();
       if (arg.name() == "module") s.module = arg.string_value();
-      if (arg.name() == "waited_for") s.waited_for = arg.string_value();
-      if (arg.name() == "preempted_by") s.preempted_by = arg.string_value();
       if (!is_time(arg.int_value())) continue;
       if (arg.name() == "since_release_us") s.since_release_us = arg.int_value();
       if (arg.name() == "held_us") s.held_us = arg.int_value();

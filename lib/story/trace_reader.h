@@ -24,10 +24,9 @@ struct TraceSample {
 /// A slice on an XPU; or, as the end of a chain, an output being published.
 struct TraceSlice {
   std::string name, category, module;
-  int row = -1;  ///< index into rows or plan rows; -1: an output
+  int row = -1;  ///< index into rows; -1: an output
   std::int64_t begin_ns = 0, end_ns = 0, release = -1, waited_us = 0, part = 1;
-  std::int64_t activation = -1;  ///< with several rates: what belongs together; -1: by release
-  std::string waited_for, preempted_by;
+  std::int64_t activation = -1;   ///< what belongs together; -1: not told
   std::vector<int> from;          ///< slices whose arrows end here: indices into the same list
   std::int64_t released_ns = -1;  ///< latest release whose arrow ends here; -1: none
   std::vector<int> releases;      ///< all of them: indices into `releases`
@@ -38,10 +37,13 @@ struct TraceSlice {
 };
 
 struct TraceRelease {
-  std::int64_t number = 0, begin_ns = 0, end_ns = 0;
-  std::int64_t latency_us = -1;  ///< -1: dropped, or not over
-  int output = -1;               ///< of a chain: its slice in `run`
-  std::string source;            ///< with several rates
+  std::int64_t number = 0, begin_ns = 0;
+  std::string source;
+};
+
+/// An output, from the oldest release it is made of.
+struct TraceResult {
+  std::int64_t number = 0, begin_ns = 0, end_ns = 0, latency_us = 0;
 };
 
 /// What a whole run counted of a chain, and what is stated and claimed of it; -1: not told, or nothing is.
@@ -66,10 +68,10 @@ struct TraceReactions {
   std::vector<One> releases;  ///< by number
 };
 
-/// With several rates: the results of one sink module, each from the oldest release it is made of.
-struct TraceChain {
-  std::string name;                   ///< the module
-  std::vector<TraceRelease> results;  ///< by end
+/// The results of one sink module.
+struct TraceOutputs {
+  std::string module;
+  std::vector<TraceResult> results;  ///< by end, at least one
 };
 
 /// Of a run with tables. -1: not told; of a worst case: nothing is claimed.
@@ -89,14 +91,13 @@ struct ReadTrace {
   std::string title, note;
   std::vector<std::string> rows;
   std::vector<TraceRelease> releases;
-  std::vector<TraceChain> chains;         ///< empty: one rate, `releases` are what has a latency
+  std::vector<TraceOutputs> outputs;
   std::vector<TraceReactions> reactions;  ///< of the chains of app.json
   std::vector<ChainCounts> counts;        ///< of the whole run; empty: it went on
   std::vector<TraceScenario> scenarios;
   std::vector<TraceChange> changes;  ///< by time
   std::string verdict;               ///< what became of the claims
   std::vector<TraceSlice> run;       ///< by begin; with the outputs (category "done")
-  std::vector<TraceSlice> plan;      ///< by begin
   std::int64_t deadline_us = -1;     ///< -1: none
   std::int64_t lost = 0, dropped = 0;
   std::int64_t overwritten = 0;  ///< events from before `begin_ns`

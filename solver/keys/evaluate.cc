@@ -51,7 +51,6 @@ bool Goal::better(const Figures& a, const Figures& b) const {
   if (a.valid != b.valid) return a.valid;
   if (!a.valid) return a.cost < b.cost;
   if (in_time && (a.largest <= 1) != (b.largest <= 1)) return a.largest <= 1;
-  if (a.moved != b.moved) return a.moved < b.moved;
   const bool within = a.largest <= most();
   if (sum && within != (b.largest <= most())) return within;
   if (sum && within && a.sum != b.sum) return a.sum < b.sum;
@@ -391,7 +390,6 @@ bool Evaluator::settle(const Decision& decision, Figures& out, const Until& unti
   base_figures_ = nullptr;
   Figures next;
   next.valid = simulate(decision, &out, next, until);
-  next.moved = out.moved;
   if (!next.valid || !goal_.better(next, out)) return false;
   out = std::move(next);
   return true;

@@ -49,7 +49,6 @@ struct Figures {
   /// For the annealer: what is minimised as one number, about 1 for a good answer; above kInvalidCost what
   /// makes it invalid.
   double cost = 0;
-  int moved = 0;  ///< XNodes that are not where a hint has them; 0 where that does not matter
 };
 inline constexpr double kInvalidCost = 1e4;
 
@@ -62,7 +61,7 @@ struct Goal {
 
   /// Of `largest`, with the deadlines.
   [[nodiscard]] double most() const { return in_time ? std::min(limit, 1.0) : limit; }
-  /// Valid; in time; fewest moved; then what is minimised.
+  /// Valid; in time; then what is minimised.
   [[nodiscard]] bool better(const Figures& a, const Figures& b) const;
 };
 

@@ -57,7 +57,6 @@ constexpr double kExchangeBelow = 0.42;  ///< of XPUs between two XNodes
 constexpr double kHoldBelow = 0.50;      ///< of an XNode that samples: later, or none
 constexpr double kPoliteBelow = 0.56;    ///< whether it interrupts others in the plan
 constexpr double kOnCritical = 0.6;      ///< of moves: an XNode of the chain that sets the cost
-constexpr double kBackHome = 0.5;        ///< of moves to another XPU: home, where it is elsewhere
 constexpr double kUnhold = 0.5;          ///< of moves of a hold: none, where there is one
 constexpr double kOneMove = 0.75;        ///< of candidates: one move, not two
 
@@ -74,8 +73,6 @@ constexpr double kFineRange = 0.3, kWindowRange = 1.5;
 constexpr double kComponentRange = 0.8;  ///< of keys and of windows
 
 // The annealer.
-/// What it pays for an XNode that is not at home, where a good answer costs about 1.
-constexpr double kToll = 0.1;
 /// Where turns begin, as shares of the cost, one after the other: no one is best for all apps. One
 /// that fell from turn to turn was before; by how much these are better is not kept.
 constexpr double kHot[] = {0.05, 0.15, 0.03};
@@ -85,8 +82,6 @@ constexpr std::int64_t kFirstSteps = 1500;
 /// Of what is not valid, the share of kInvalidCost that stands for the cost.
 constexpr double kInvalidShare = 0.05;
 constexpr std::int64_t kStepsPerChain = 16;  ///< accepted moves make the critical chain stale
-/// Turns in vain until those with a home may leave it.
-constexpr std::size_t kTurnsAtHome = 3;
 
 /// Longest ways of least WCETs behind each XNode, itself excluded.
 std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
@@ -248,16 +243,8 @@ Decision Search::from_hint(const Policy& hint) {
   return d;
 }
 
-int Search::moved(const Decision& d) const {
-  int count = 0;
-  if (keep_ == Keep::kMost)
-    for (std::size_t i = 0; i < home_.size(); ++i) count += home_[i] >= 0 && d.xpu[i] != home_[i];
-  return count;
-}
-
 void Search::evaluate(Candidate& candidate) {
   evaluator_.evaluate(candidate.decision, kInvalidCost, candidate.figures, limits_.finish_until);
-  candidate.figures.moved = moved(candidate.decision);
 }
 
 void Search::put(Decision& d, int xnode, int xpu) const {
@@ -534,20 +521,16 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   const double what = random_.unit();
   const int i = pick(from);
   const auto& may = p_.may_run[at(i)];
-  if (what < kMoveBelow && may_move(i)) {
+  if (what < kMoveBelow && keep_ == Keep::kNothing) {
     if (may.size() < 2) return false;
-    int m = may[random_.below(may.size())];
-    if (keep_ == Keep::kMost && home_[at(i)] >= 0 && next.xpu[at(i)] != home_[at(i)] &&
-        random_.unit() < kBackHome)
-      m = home_[at(i)];
+    const int m = may[random_.below(may.size())];
     if (!std::binary_search(may.begin(), may.end(), m)) return false;
     if (m == next.xpu[at(i)]) return false;
     put(next, i, m);
     return next.xpu[at(i)] == m;
   }
-  if (what < kExchangeBelow && may_move(i)) {
+  if (what < kExchangeBelow && keep_ == Keep::kNothing) {
     const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
-    if (!may_move(j)) return false;
     const int mi = next.xpu[at(i)], mj = next.xpu[at(j)];
     if (mi == mj) return false;
     const auto& other = p_.may_run[at(j)];
@@ -630,12 +613,9 @@ void Search::anneal(std::int64_t steps, double hot,
     // Drawn before, so that most candidates need not be simulated to the end.
     const double scale =
         current.figures.valid ? current.figures.cost : kInvalidShare * kInvalidCost;
-    const int moved_now = moved(next.decision);
-    const double allowed = current.figures.cost - heat * scale * std::log(random_.unit()) +
-                           kToll * (current.figures.moved - moved_now);
+    const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
     evaluator_.evaluate(next.decision, allowed, next.figures, limits_.until, &current.decision,
                         &current.figures);
-    next.figures.moved = moved_now;
     if (next.figures.cost > allowed) continue;
     if (improves(next.figures)) {
       take(next, on_better);
@@ -654,25 +634,15 @@ void Search::run(const SearchLimits& limits, const Policy* hint, Keep keep,
                  const std::function<void(const Candidate&)>& on_better) {
   limits_ = limits;
   keep_ = hint == nullptr ? Keep::kNothing : keep;
-  home_.clear();
-  if (hint != nullptr) {
-    for (const Placement& placed : hint->placements) home_.push_back(placed.xpu);
-    begin_with(*hint, on_better);
-  }
-  still_ = keep_ == Keep::kMost;
+  if (hint != nullptr) begin_with(*hint, on_better);
   if (keep_ == Keep::kNothing) construct(on_better);
   std::int64_t steps = kFirstSteps;
   for (std::size_t cycle = 0; !over(); ++cycle) {
-    // Where nobody has to move, nobody does: only a few turns in vain say otherwise.
     if (!goal_.sum && may_sum()) {
       goal_.sum = true;
       set_goal();
       steps = kFirstSteps;
       cycle = 0;
-    }
-    if (still_ && cycle >= kTurnsAtHome && !found_.is_in_time()) {
-      still_ = false;
-      construct(on_better);
     }
     const std::int64_t before = evaluator_.evaluations();
     const std::size_t turn = cycle % std::size(kHot);
@@ -682,7 +652,7 @@ void Search::run(const SearchLimits& limits, const Policy* hint, Keep keep,
       set_goal();
     }
     anneal(steps, kHot[turn], on_better);
-    if (evaluator_.evaluations() == before && !still_ && (goal_.sum || !may_sum()))
+    if (evaluator_.evaluations() == before && (goal_.sum || !may_sum()))
       return;  // nothing can be changed
     if (last) steps *= 2;
   }

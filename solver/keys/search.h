@@ -67,7 +67,6 @@ class Incumbents {
 /// What of a hint stays.
 enum class Keep {
   kNothing,    ///< it is where the search begins
-  kMost,       ///< as few XNodes as possible are elsewhere, as long as deadlines are met
   kPlacement,  ///< every XNode is where it was
 };
 
@@ -109,10 +108,6 @@ class Search {
   void set_goal();
   [[nodiscard]] bool improves(const Figures& figures) const;
   void evaluate(Candidate& candidate);
-  [[nodiscard]] int moved(const Decision& d) const;
-  [[nodiscard]] bool may_move(int xnode) const {
-    return keep_ == Keep::kNothing || (keep_ == Keep::kMost && (!still_ || home_[at(xnode)] < 0));
-  }
   void construct(const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
                                      int rule, bool charge);
@@ -135,9 +130,7 @@ class Search {
   Random random_;
   SearchLimits limits_;
   Keep keep_ = Keep::kNothing;
-  bool still_ = false;     ///< for now only those without a home move
-  std::vector<int> home_;  ///< [xnode] XPU of the hint that is to be kept, -1: none
-  bool proven_ = false;    ///< every chain is at its bound
+  bool proven_ = false;  ///< every chain is at its bound
   Incumbents found_;
   Goal goal_;
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost

@@ -3,7 +3,7 @@
 """The pictures in docs/img that our own pages give: schedules as SVG, the report in light and dark as PNG.
 
     build/bin/xauto compare --app examples/driving/app.json --platform small --out build/demo -- build/bin/driving
-    build/bin/xauto report build/demo/heft.pftrace --report build/demo/report.json --out build/demo/report.html
+    build/bin/xauto report build/demo/heft.pftrace --out build/demo/report.html
     tests/browser/figures.py build/demo docs/img
 """
 import os
@@ -18,7 +18,7 @@ STYLE = """:root { --fg:#1c1f24; --dim:#646b76; --line:#e3e6ea; --lane:#f4f5f7; 
 @media (prefers-color-scheme: dark) { :root { --fg:#e7e9ed; --dim:#9aa2ae; --line:#30353d; --lane:#22262d; --card:#14161a; --ink:#0b0c0e } }
 text { fill:var(--fg); font:11px system-ui, sans-serif } text.dim { fill:var(--dim) } .grid { stroke:var(--line) } .lane { fill:var(--lane) }
 text.latency { font-weight:650 } .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
-text.label { fill:var(--ink); font-size:10px } .plan { fill:none; stroke-width:1.2; opacity:.8 }"""
+text.label { fill:var(--ink); font-size:10px }"""
 
 
 def schedule(page, panel):

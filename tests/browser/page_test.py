@@ -51,8 +51,7 @@ class Pages(unittest.TestCase):
                 break
         else:
             raise AssertionError("60 comparisons, and each was stopped by the machine")
-        answer = xauto("report", out + "/heft.pftrace", out + "/xauto.pftrace", "--report", out + "/report.json",
-                       "--out", out + "/report.html")
+        answer = xauto("report", out + "/heft.pftrace", out + "/xauto.pftrace", "--out", out + "/report.html")
         assert answer.returncode == 0, answer.stderr
         cls.report, cls.timeline = out + "/report.html", out + "/timeline.html"
         cls.browser = cls.enterClassContext(browser.Browser()) if hasattr(cls, "enterClassContext") else None

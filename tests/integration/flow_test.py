@@ -168,6 +168,13 @@ class Flow(unittest.TestCase):
         self.assertEqual(result.returncode, 2)
         self.assertIn("the policy was made for another version of the app", result.stderr)
 
+    def test_a_policy_of_priorities_is_not_explained(self):
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        result = xauto("explain", "--app", APP, "--platform", "small", "--policy", self.path("p.json"))
+        self.assertEqual((result.returncode, result.stdout), (2, ""))
+        self.assertIn("has priorities: nothing is planned or claimed by them\n  hint: `xauto simulate`, and `xauto explain "
+                      "--trace` of a run, show what happens", result.stderr)
+
     def test_app_of_another_graph_is_refused(self):
         self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
         result = xauto("run", "--app", APP, "--policy", self.path("p.json"), "--emulate", "--", BIN / "camera")

@@ -87,7 +87,7 @@ class Report(unittest.TestCase):
         assert answer.returncode == 0, answer.stderr
         cls.bytes = pathlib.Path(cls.at("heft.pftrace")).read_bytes()
         cls.trace = pftrace.Trace(cls.bytes)
-        answer = xauto("report", cls.at("heft.pftrace"), "--report", cls.report, "--out", cls.at("page.html"))
+        answer = xauto("report", cls.at("heft.pftrace"), "--out", cls.at("page.html"))
         assert answer.returncode == 0, answer.stderr
         cls.html = pathlib.Path(cls.at("page.html")).read_text()
         cls.page = Page(cls.html)

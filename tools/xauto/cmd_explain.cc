@@ -10,7 +10,6 @@
 
 #include "model/json.h"
 #include "model/json_value.h"
-#include "story/account.h"
 #include "story/chain_story.h"
 
 #include "xauto/command.h"
@@ -30,45 +29,11 @@ Json to_json(const std::vector<story::Blocker>& list) {
   return out;
 }
 
-Json to_json(const story::Account& account) {
-  auto steps = Json::array();
-  for (const story::ChainStep& step : account.steps) {
-    Json j = {{"xnode", step.xnode},
-              {"xpu", step.xpu},
-              {"begin_us", step.begin_us},
-              {"end_us", step.end_us},
-              {"handover_us", step.handover_us},
-              {"sensor_us", step.sensor_us},
-              {"waited_us", step.waited_us},
-              {"held_us", step.held_us},
-              {"ran_us", step.ran_us},
-              {"switched_us", step.switched_us},
-              {"suspended_us", step.suspended_us},
-              {"busy_with", to_json(step.busy_with)},
-              {"waited_for", to_json(step.waited_for)},
-              {"preempted_by", to_json(step.preempted_by)},
-              {"beside", to_json(step.beside)}};
-    if (step.planned_us >= 0) j["planned_us"] = step.planned_us;
-    if (step.planned_end_us >= 0) j["planned_end_us"] = step.planned_end_us;
-    steps.push_back(std::move(j));
-  }
-  Json j;
-  if (!account.chain.empty()) j["chain"] = account.chain;
-  j["release"] = account.release;
-  j["latency_us"] = account.latency_us;
-  j["rank"] = account.rank;
-  j["of"] = account.of;
-  j["median_us"] = account.median_us;
-  if (account.planned_us >= 0) j["planned_us"] = account.planned_us;
-  j["steps"] = std::move(steps);
-  j["publish_us"] = account.publish_us;
-  return j;
-}
-
-/// One of `releases`, in `chain` (as worst_of takes it); `where` is for messages.
-template <class Release, class Chain>
-Result<const Release*> wanted(const Chain& chain, const std::vector<Release>& releases,
-                              const std::string& text, const std::string& where) {
+/// One of the chain's; `where` is for messages.
+Result<const story::TraceReactions::One*> wanted(const story::TraceReactions& chain,
+                                                 const std::string& text,
+                                                 const std::string& where) {
+  using Release = story::TraceReactions::One;
   if (text == "worst" || text == "median") {
     const Release* found = text == "worst" ? worst_of(chain) : median_of(chain);
     if (found == nullptr)
@@ -81,24 +46,27 @@ Result<const Release*> wanted(const Chain& chain, const std::vector<Release>& re
   if (error != std::errc() || end != text.data() + text.size() || number < 0)
     return fail(ErrorCode::kInvalid, "'" + text + "' is no activation", "--activation",
                 "worst, median, or a number from 0 on");
-  for (const Release& release : releases)
+  for (const Release& release : chain.releases)
     if (release.number == number) return &release;
   return fail(ErrorCode::kNotFound, "is not in the trace", "release " + std::to_string(number),
-              releases.empty() ? "there is no release in it"
-                               : "it has " + std::to_string(releases.front().number) + " to " +
-                                     std::to_string(releases.back().number));
+              chain.releases.empty() ? "there is no release in it"
+                                     : "it has " + std::to_string(chain.releases.front().number) +
+                                           " to " + std::to_string(chain.releases.back().number));
 }
 
 /// A release of each chain, or of the one asked for.
 Result<std::vector<story::ChainStory>> stories_of(const ExplainFlags& flags,
                                                   const story::ReadTrace& trace) {
+  if (trace.reactions.empty())
+    return fail(ErrorCode::kInvalid, "tells of no chain", flags.trace,
+                "an older version wrote it: run again with --trace-out");
   std::vector<story::ChainStory> stories;
   std::string known;
   for (const story::TraceReactions& chain : trace.reactions) {
     known += (known.empty() ? "" : ", ") + chain.name;
     if (flags.chain.empty() ? chain.releases.empty() : chain.name != flags.chain) continue;
     XAUTO_ASSIGN(const story::TraceReactions::One* release,
-                 wanted(chain, chain.releases, flags.activation, flags.trace + ", " + chain.name));
+                 wanted(chain, flags.activation, flags.trace + ", " + chain.name));
     XAUTO_ASSIGN(story::ChainStory story, story_of(trace, chain, *release));
     stories.push_back(std::move(story));
   }
@@ -135,6 +103,7 @@ Json to_json(const story::StoryJob& job) {
           {"key_us", or_null(job.key_us)},
           {"lateness_us", or_null(job.lateness_us)},
           {"waited_for", to_json(job.waited_for)},
+          {"preempted_by", to_json(job.preempted_by)},
           {"reads", std::move(reads)}};
 }
 
@@ -164,59 +133,13 @@ Json to_json(const story::ChainStory& story) {
           {"missed", to_json(story.missed)}};
 }
 
-/// With one rate the app's release; with several the release of each chain, or of the one asked
-/// for.
-Result<std::vector<story::Account>> accounts_of(const ExplainFlags& flags,
-                                                const story::ReadTrace& trace) {
-  std::vector<story::Account> accounts;
-  if (trace.chains.empty()) {
-    if (!flags.chain.empty())
-      return fail(ErrorCode::kInvalid, "is for apps of several rates", "--chain",
-                  "this one has one: a release is over when all its outputs are there");
-    XAUTO_ASSIGN(const story::TraceRelease* release,
-                 wanted(trace.releases, trace.releases, flags.activation, flags.trace));
-    XAUTO_ASSIGN(story::Account account, account_of(trace, release->number));
-    accounts.push_back(std::move(account));
-    return accounts;
-  }
-  std::string known;
-  for (const story::TraceChain& chain : trace.chains) {
-    known += (known.empty() ? "" : ", ") + chain.name;
-    if (!flags.chain.empty() && chain.name != flags.chain) continue;
-    XAUTO_ASSIGN(
-        const story::TraceRelease* release,
-        wanted(chain.results, chain.results, flags.activation, flags.trace + ", " + chain.name));
-    XAUTO_ASSIGN(story::Account account, account_of(trace, chain, *release));
-    accounts.push_back(std::move(account));
-  }
-  if (accounts.empty())
-    return fail(ErrorCode::kNotFound, "'" + flags.chain + "' has no result in the trace", "--chain",
-                "there are " + known);
-  return accounts;
-}
-
 Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const std::string bytes, read_file(flags.trace));
   XAUTO_ASSIGN(const story::ReadTrace trace, story::read_trace(bytes, flags.trace));
-  std::vector<story::Account> accounts;
-  std::vector<story::ChainStory> stories;
-  if (trace.reactions.empty()) {
-    XAUTO_ASSIGN(accounts, accounts_of(flags, trace));
-  } else {
-    XAUTO_ASSIGN(stories, stories_of(flags, trace));
-  }
+  XAUTO_ASSIGN(const std::vector<story::ChainStory> stories, stories_of(flags, trace));
   if (options.json) {
-    Json j;
-    if (!stories.empty()) {
-      j["claims"] = trace.verdict;
-      j["chains"] = Json::array();
-      for (const story::ChainStory& story : stories) j["chains"].push_back(to_json(story));
-    } else if (trace.chains.empty()) {
-      j = to_json(accounts.front());
-    } else {
-      j["chains"] = Json::array();
-      for (const story::Account& account : accounts) j["chains"].push_back(to_json(account));
-    }
+    Json j = {{"claims", trace.verdict}, {"chains", Json::array()}};
+    for (const story::ChainStory& story : stories) j["chains"].push_back(to_json(story));
     j["events_lost"] = trace.lost;
     j["events_dropped_before"] = trace.overwritten;
     std::cout << j.dump(2) << "\n";
@@ -230,10 +153,8 @@ Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
     std::cout << fmt::format("the trace holds {:.1f} s: {} older events were dropped\n",
                              static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9,
                              trace.overwritten);
-  if (!stories.empty()) std::cout << trace.verdict << "\n";
+  std::cout << trace.verdict << "\n";
   for (const story::ChainStory& story : stories) std::cout << "\n" << story_text(story);
-  for (const story::Account& account : accounts)
-    std::cout << (&account == &accounts.front() ? "" : "\n") << account_text(account);
   return kDone;
 }
 

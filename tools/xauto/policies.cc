@@ -702,6 +702,9 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--windows", picture));
   XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
+  if (policy.by_priority())
+    return fail(ErrorCode::kInvalid, "has priorities: nothing is planned or claimed by them", path,
+                "`xauto simulate`, and `xauto explain --trace` of a run, show what happens");
   XAUTO_ASSIGN(const keys::CheckReport report, keys::check(app, platform, policy));
   // The chain that is worst off: in parts of its deadline, or else the longest.
   std::size_t worst = 0;

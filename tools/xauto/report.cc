@@ -677,11 +677,13 @@ story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>&
     if (const auto bytes = perfetto_of(flags, run))
       if (const auto trace = story::read_trace(*bytes, run.name)) {
         timeline.sections += story::counts_section(run.name, *trace);
-        panels = story::chain_panels(page_id(run.id), run.name, *trace);
+        panels = story::output_panels(page_id(run.id), run.name, *trace);
       }
     if (panels.empty()) {
-      panels.push_back(panel_of(flags, run));
-      panels.back().id = page_id(run.id);
+      panels.push_back({page_id(run.id), run.name});
+      if (run.latency.count > 0)
+        std::tie(panels.back().p50_us, panels.back().p99_us, panels.back().max_us) =
+            std::tie(run.latency.p50_us, run.latency.p99_us, run.latency.max_us);
     }
     for (story::Panel& panel : panels) timeline.panels.push_back(std::move(panel));
   }

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <map>
 #include <numeric>
 #include <set>
 
@@ -271,71 +270,6 @@ std::vector<story::ModuleInfo> modules_of(const runtime::RunReport& report) {
   return modules;
 }
 
-namespace {
-
-using story::Bar;
-using story::BarKind;
-using story::Panel;
-
-/// Bars of one activation from its trace events.
-std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace,
-                         std::uint64_t sequence, std::int64_t origin_ns) {
-  struct Open {
-    std::int64_t since = -1;
-    BarKind kind = BarKind::kRun;
-    int row = -1;
-  };
-  std::vector<Bar> bars;
-  std::map<std::uint16_t, Open> open;
-  const auto us = [&](std::uint64_t ns) {
-    return (static_cast<std::int64_t>(ns) - origin_ns) / 1000;
-  };
-  const auto close = [&](std::uint16_t xnode, std::uint64_t ns) {
-    Open& o = open[xnode];
-    if (o.since >= 0 && us(ns) > o.since) {
-      const XNodeSpec& spec = flags.app.xnodes[xnode];
-      bars.push_back({o.row, spec.name, spec.module, o.since, us(ns), o.kind});
-    }
-    o.since = -1;
-  };
-  for (const trace::Event& event : trace.events) {
-    if (event.seq != sequence || event.xnode >= flags.app.xnodes.size() ||
-        event.xpu >= flags.spec.xpus.size())
-      continue;
-    const auto begin = [&](BarKind kind) {
-      close(event.xnode, event.ts_ns);
-      open[event.xnode] = {us(event.ts_ns), kind, event.xpu};
-    };
-    const Open& now = open[event.xnode];
-    switch (event.kind) {
-      case XAUTO_EV_START:
-        begin(BarKind::kWait);
-        break;
-      case XAUTO_EV_RUN:
-        begin(BarKind::kRun);
-        break;
-      // A suspension that comes after FINISH belongs to a job that is over.
-      case XAUTO_EV_SUSPEND:
-        if (now.since >= 0) begin(BarKind::kSwitch);
-        break;
-      case XAUTO_EV_SUSPENDED:
-        if (now.since >= 0) begin(BarKind::kSuspended);
-        break;
-      case XAUTO_EV_RESUMED:
-        if (now.since >= 0) begin(BarKind::kRun);
-        break;
-      case XAUTO_EV_FINISH:
-        close(event.xnode, event.ts_ns);
-        break;
-      default:
-        break;
-    }
-  }
-  return bars;
-}
-
-}  // namespace
-
 Rows rows_of(const Platform& platform, runtime::Scheduling scheduling) {
   Rows rows;
   rows.of.assign(platform.xpus.size(), -1);
@@ -350,43 +284,6 @@ Rows rows_of(const Platform& platform, runtime::Scheduling scheduling) {
     }
   }
   return rows;
-}
-
-story::Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
-  Panel panel;
-  panel.id = run.id;
-  panel.name = run.name;
-  Rows rows = rows_of(flags.spec, run.scheduling);
-  const std::vector<int> row_of = std::move(rows.of);
-  panel.rows = std::move(rows.names);
-  if (run.latency.count > 0) {
-    panel.p50_us = run.latency.p50_us;
-    panel.p99_us = run.latency.p99_us;
-    panel.max_us = run.latency.max_us;
-  }
-  const runtime::ReleaseRecord* shown = nullptr;
-  const trace::Recording& trace = run.outcome.trace;
-  // What the trace no longer holds cannot be shown.
-  const std::int64_t traced_from = trace.overwritten == 0 || trace.events.empty()
-                                       ? 0
-                                       : static_cast<std::int64_t>(trace.events.front().ts_ns);
-  for (const runtime::ReleaseRecord& release : run.report.releases) {
-    if (release.latency_us < 0) continue;
-    panel.latencies_us.push_back(release.latency_us);
-    if (release.origin_ns < traced_from) continue;
-    const auto distance = [&](const runtime::ReleaseRecord& r) {
-      return std::abs(r.latency_us - run.latency.p50_us);
-    };
-    if (shown == nullptr || distance(release) < distance(*shown)) shown = &release;
-  }
-  if (shown != nullptr) {
-    panel.shown_sequence = static_cast<std::int64_t>(shown->sequence);
-    panel.shown_latency_us = shown->latency_us;
-    panel.shown = "the median";
-    panel.measured = bars_of(flags, run.outcome.trace, shown->sequence, shown->origin_ns);
-    for (Bar& bar : panel.measured) bar.row = row_of[static_cast<std::size_t>(bar.row)];
-  }
-  return panel;
 }
 
 }  // namespace xauto::cli

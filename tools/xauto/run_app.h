@@ -21,7 +21,6 @@
 #include "session/session.h"
 #include "solver/simulate.h"
 #include "story/story.h"
-#include "story/timeline.h"
 
 #include "xauto/emulation.h"
 
@@ -112,8 +111,5 @@ struct Rows {
   std::vector<int> of;  ///< XPU -> row
 };
 [[nodiscard]] Rows rows_of(const Platform& platform, runtime::Scheduling scheduling);
-
-/// The measured bars of the activation whose latency is the median.
-[[nodiscard]] story::Panel panel_of(const RunFlags& flags, const PolicyRun& run);
 
 }  // namespace xauto::cli

@@ -6,7 +6,7 @@
 //        ├─► B (b1 npu; a string)  ──────────┴─► C (c1 cpu) ─► result, written to FILE at the end
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
-//   testapp FILE [crash|hang|throw|slow|early|batch|thread|child|exit MODULE K [MS]] [period US] [tally] [times] [second US]
+//   testapp FILE [crash|hang|throw|slow|early|batch|thread|child|exit MODULE K [MS]] [period US] [tally] [times]
 //           [emulated US] [filelimit BYTES] [room N]
 //
 // `slow`: every job takes MS longer, `early`: those before K. In job K `batch` changes its thread's scheduling
@@ -14,7 +14,6 @@
 // With `filelimit` no file of it grows beyond that once messages come: a disk that gets full.
 // With `emulated` every XNode has a context of the emulator's and first takes so long on it.
 // With `room` each module may have so many activations at once.
-// With `second` there is another source of that period, and D reads both.
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
 // does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM. With `times` the values of topic d
 // are not results but when: the release in us of CLOCK_MONOTONIC, shifted left by 24, and the
@@ -159,15 +158,12 @@ xauto::XNode<State> node(const std::string& name, const std::string& xpu, const 
 int main(int argc, char** argv) {
   const std::string file = argc > 1 ? argv[1] : "/dev/null";
   std::chrono::microseconds period{2000};
-  std::chrono::microseconds second{0};
   rlim_t file_limit = RLIM_INFINITY;
   bool tallied = false, timed = false;
   int in_flight = 1;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i];
-    if (word == "second" && i + 1 < argc) {
-      second = std::chrono::microseconds(std::atoll(argv[++i]));
-    } else if (word == "filelimit" && i + 1 < argc) {
+    if (word == "filelimit" && i + 1 < argc) {
       file_limit = std::strtoull(argv[++i], nullptr, 10);
     } else if (word == "room" && i + 1 < argc) {
       in_flight = std::atoi(argv[++i]);
@@ -229,11 +225,6 @@ int main(int argc, char** argv) {
                   }))
       .add_input_topic(source)
       .add_output_topic(d, &State::value);
-  const xauto::Topic<std::uint64_t> source2("src2");
-  if (second.count() > 0) {
-    app.add_source(source2, second, [](std::uint64_t k) { return k; });
-    D.add_input_topic(source2);
-  }
   for (xauto::XModule<State>* module : {&A, &B, &C, &D})
     app.add_module(module->in_flight(in_flight));
 

@@ -232,7 +232,7 @@ TEST(KeysSolve, AHintWithOrderStaysTrue) {
     ASSERT_TRUE(before) << seed;
     if (before->outcome != Outcome::kPolicy || before->policy.order.empty()) continue;
     ++ordered;
-    for (const Keep keep : {Keep::kNothing, Keep::kMost, Keep::kPlacement}) {
+    for (const Keep keep : {Keep::kNothing, Keep::kPlacement}) {
       Options options = brief(100);
       options.hint = &before->policy;
       options.keep = keep;
@@ -297,38 +297,8 @@ std::vector<int> elsewhere(const Policy& a, const Policy& b) {
   return xnodes;
 }
 
-TEST(KeysSolve, ASmallChangeOfTheAppMovesFewXNodes) {
-  int asked = 0, kept = 0, free = 0;
-  for (std::uint64_t seed = 1; seed <= 30; ++seed) {
-    solver::test::Dice dice(seed);
-    AppSpec app = random_rated_app(dice, {});
-    const Platform platform = random_rated_platform(dice);
-    const Result<Answer> before = solve(app, platform, brief(300));
-    ASSERT_TRUE(before) << seed;
-    if (before->outcome != Outcome::kPolicy) continue;
-    // One WCET is a little longer; what is on an XPU by the policy still has to fit there.
-    auto& wcets = app.xnodes.front().wcet_us;
-    for (auto& [type, us] : wcets) us += us / 20 + 1;
-    Options options = brief(600);
-    options.hint = &before->policy;
-    const Result<Answer> anywhere = solve(app, platform, options);
-    options.keep = Keep::kMost;
-    const Result<Answer> near = solve(app, platform, options);
-    ASSERT_TRUE(anywhere && near) << seed;
-    if (anywhere->outcome != Outcome::kPolicy || near->outcome != Outcome::kPolicy) continue;
-    EXPECT_EQ(near->moved, elsewhere(before->policy, near->policy)) << seed;
-    EXPECT_TRUE(check(app, platform, near->policy)) << seed;
-    ++asked;
-    kept += near->moved.empty();
-    free += anywhere->moved.empty();
-  }
-  EXPECT_GE(asked, 20);
-  EXPECT_GE(kept, asked - 2);
-  EXPECT_LT(free, kept);
-}
-
-TEST(KeysSolve, WhoHasToMoveMovesAlone) {
-  int asked = 0, alone = 0;
+TEST(KeysSolve, TheAnswerTellsWhoIsElsewhereThanInItsHint) {
+  int asked = 0, moved = 0;
   for (std::uint64_t seed = 1; seed <= 30; ++seed) {
     solver::test::Dice dice(seed);
     const AppSpec app = random_rated_app(dice, {});
@@ -338,19 +308,19 @@ TEST(KeysSolve, WhoHasToMoveMovesAlone) {
     if (before->outcome != Outcome::kPolicy) continue;
     Options options = brief(600);
     options.hint = &before->policy;
-    options.keep = Keep::kMost;
     const int was = before->policy.placements.front().xpu;
     options.wishes.forbids.emplace_back(app.xnodes.front().name, platform.xpus[at(was)].id);
     const Result<Answer> after = solve(app, platform, options);
     if (!after || after->outcome != Outcome::kPolicy) continue;  // it can run nowhere else
+    EXPECT_EQ(after->moved, elsewhere(before->policy, after->policy)) << seed;
     ASSERT_FALSE(after->moved.empty()) << seed;
     EXPECT_EQ(after->moved.front(), 0) << seed;
-    EXPECT_NE(after->policy.placements.front().xpu, was) << seed;
+    EXPECT_TRUE(check(app, platform, after->policy)) << seed;
     ++asked;
-    alone += after->moved.size() == 1;
+    moved += static_cast<int>(after->moved.size());
   }
   EXPECT_GE(asked, 10);
-  EXPECT_GE(alone, asked - 2);
+  EXPECT_GT(moved, asked) << "others moved, too";
 }
 
 TEST(KeysSolve, AHintNeedNotKnowAllXNodes) {
@@ -364,11 +334,10 @@ TEST(KeysSolve, AHintNeedNotKnowAllXNodes) {
   older.placements.back() = {};
   Options options = brief(300);
   options.hint = &older;
-  options.keep = Keep::kMost;
   const Result<Answer> b = solve(app, platform, options);
   ASSERT_TRUE(b);
   ASSERT_EQ(b->outcome, Outcome::kPolicy);
-  EXPECT_TRUE(b->moved.empty());
+  EXPECT_TRUE(check(app, platform, b->policy));
   for (Placement& placed : older.placements) placed = {};
   EXPECT_FALSE(solve(app, platform, options));
 }

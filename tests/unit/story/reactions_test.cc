@@ -310,7 +310,7 @@ TEST(ChainStory, TellsTheReleaseThatCameLateAndWhoReadTooEarly) {
   constexpr std::int64_t kMs = 1'000'000;
   ReadTrace trace;
   trace.rows = {"cpu0", "cpu1"};
-  trace.releases = {{5, 0, 0, -1, -1, "camera"}, {6, 50 * kMs, 0, -1, -1, "camera"}};
+  trace.releases = {{5, 0, "camera"}, {6, 50 * kMs, "camera"}};
   const auto job = [&](const std::string& name, int row, std::int64_t n, std::int64_t begin_ms,
                        std::int64_t end_ms) -> TraceSlice& {
     TraceSlice slice;
@@ -345,6 +345,15 @@ TEST(ChainStory, TellsTheReleaseThatCameLateAndWhoReadTooEarly) {
   const std::string text = story_text(*story);
   EXPECT_NE(text.find("its source came 48.000 ms after"), std::string::npos) << text;
   EXPECT_NE(text.find("without release 5:"), std::string::npos) << text;
+}
+
+TEST(ChainStory, WaitingIsSaidWithTheShareOfEach) {
+  EXPECT_EQ(waited_text(100, {}), "waited 0.100 ms, nobody had the XPU");
+  EXPECT_EQ(waited_text(100, {{"a", 95}}), "waited 0.100 ms for a");
+  EXPECT_EQ(waited_text(100, {{"a", 30}}),
+            "waited 0.100 ms for a (0.030); for 0.070 ms of it nobody had the XPU");
+  EXPECT_EQ(waited_text(50, {{"a", 20}, {"b", 10}, {"c", 9}, {"d", 6}, {"e", 5}}),
+            "waited 0.050 ms for a (0.020), b (0.010), c (0.009) and 2 others");
 }
 
 TEST(ChainStory, AHoldIsTheReasonUntilItEnds) {

@@ -23,10 +23,13 @@ struct Tiny {
 
   Tiny() {
     app.name = "tiny";
-    app.xnodes = {{"cam.pre", "CAM", {{"cpu", 100}}},
+    app.sources = {{"sensor", {2'000}}};
+    app.xnodes = {{"cam.pre", "CAM", {{"cpu", 100}}, {0}},
                   {"cam.infer", "CAM", {{"gpu", 200}}},
-                  {"big.infer", "BIG", {{"gpu", 500}}}};
+                  {"big.infer", "BIG", {{"gpu", 500}}, {0}}};
     app.edges = {{0, 1}};
+    app.modules = {{"CAM"}, {"BIG"}};
+    app.chains = {{"see", 0, 1}, {"all", 0, 2}};
     app.deadline_us = 800;
     platform.name = "two";
     platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu"}};
@@ -36,11 +39,6 @@ struct Tiny {
     scene.row_of = {0, 1};
     scene.modules = {{"CAM", true}, {"BIG", true}};
     scene.priorities = {1, 2, 1};
-    scene.plan = {{0, 0, 0, 100, false},
-                  {2, 1, 0, 100, false},
-                  {1, 1, 100, 110, true},
-                  {1, 1, 110, 310, false},
-                  {2, 1, 310, 710, false}};
   }
 
   void at(std::int64_t us, std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode = kNone,
@@ -49,12 +47,22 @@ struct Tiny {
         {static_cast<std::uint64_t>(1'000'000 + us * 1000), seq, xnode, module, xpu, kind, arg, 0});
   }
 
+  void publish(std::int64_t us, std::uint64_t seq) {
+    at(us, XAUTO_EV_PUBLISH, seq, kNone, kNone, kNone, XAUTO_TAKE_SOURCE);
+  }
+  /// At `us`, of the message that was released at `origin`.
+  void activate(std::int64_t us, std::uint64_t seq, std::uint16_t module, std::int64_t origin) {
+    at(us, XAUTO_EV_ACTIVATE, seq, kNone, module);
+    at(us, XAUTO_EV_TAKE, static_cast<std::uint64_t>(1'000'000 + origin * 1000), kNone, module,
+       kNone, XAUTO_TAKE_SOURCE);
+  }
+
   /// One release, beginning at `us`: BIG runs, is preempted by CAM, resumes.
   void release(std::int64_t us, std::uint64_t seq) {
-    at(us, XAUTO_EV_PUBLISH, seq);
-    at(us + 1, XAUTO_EV_ACTIVATE, seq, kNone, 0);
+    publish(us, seq);
+    activate(us + 1, seq, 0, us);
     at(us + 2, XAUTO_EV_READY, seq, 0, 0, 0);
-    at(us + 3, XAUTO_EV_ACTIVATE, seq, kNone, 1);
+    activate(us + 3, seq, 1, us);
     at(us + 4, XAUTO_EV_READY, seq, 2, 1, 1);
     at(us + 5, XAUTO_EV_START, seq, 0, 0, 0);
     at(us + 6, XAUTO_EV_RUN, seq, 0, 0, 0);
