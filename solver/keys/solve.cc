@@ -157,6 +157,7 @@ struct Seed {
 struct Seeds {
   std::vector<Seed> seeds;
   double largest = 0;  ///< of all chains no policy has less, as Figures::largest; 0: not known
+  Tick of_chain = 0;   ///< of the only chain; 0: there are more, or it is not known
 };
 
 /// The plan of one release, where that is all there is, and a hint with order.
@@ -200,6 +201,7 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
                                    [&](const Chain& c) { return c.by == p.chains.front().by; });
     if (alike)
       found.largest = static_cast<double>(plan->bound) / static_cast<double>(p.chains.front().by);
+    if (p.chains.size() == 1) found.of_chain = plan->bound;
   }
   return found;
 }
@@ -339,7 +341,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
 
   // First the plans of one release, each with its order; then what has none.
   XAUTO_ASSIGN(const Seeds begins, seeds_of(app, platform, p, options, limit));
-  const auto& [seeds, least_of_all] = begins;
+  const auto& [seeds, least_of_all, of_chain] = begins;
   Round round{options, elapsed};
   std::optional<Incumbents> planned;
   const Seed* seed = nullptr;
@@ -417,6 +419,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   }
   // What is left of the time makes the bounds better.
   if (shortest && limit < kNoLimitS) for_finer = part_of(for_finer, kForPlans);
+  if (p.chains.size() == 1) bounds[0] = std::max(bounds[0], of_chain);
   if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(for_finer);
   for (std::size_t c = 0; c < bounds.size(); ++c) answer.lower_bound_us[c] = us_above(p, bounds[c]);
   const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // What solve() minimises: the mix, the largest, the sum.
 #include <algorithm>
+#include <cmath>
 
 #include <gtest/gtest.h>
 
+#include "model/json.h"
+#include "solver/generate.h"
 #include "solver/keys/check.h"
 #include "solver/keys/solve.h"
 
@@ -157,6 +160,23 @@ TEST(KeysObjective, TheSumDoesNotForgetDeadlines) {
   EXPECT_GT(answer->bounds.largest, 1);
   const Totals is = answer->totals;
   EXPECT_NEAR(is.sum, (5 + 10 + 15 + 20) / 80.0 + 60 / 30.0, 0.2);
+}
+
+/// What is proven of the largest of one chain is proven of that chain, and its claim says so.
+TEST(KeysObjective, TheProofOfTheOnlyChainIsInItsClaim) {
+  GenerateOptions synthetic;
+  synthetic.nodes = 40;
+  synthetic.seed = 7002;  // its plan is proven in a second, and by no bound of its chain alone
+  const AppSpec app = *parse_app(to_json(*generate(synthetic)), "app.json");
+  ASSERT_EQ(app.chains.size(), 1u);
+  Options options;
+  options.aim = Aim::kLargest;
+  options.time_limit_s = 10;
+  const auto answer = solve(app, *Platform::builtin("small"), options);
+  ASSERT_TRUE(answer && answer->outcome == Outcome::kPolicy);
+  const ChainClaim& claim = answer->policy.chains[0];
+  EXPECT_EQ(claim.lower_bound_us, std::llround(answer->bounds.largest));
+  EXPECT_EQ(claim.optimal, claim.worst_case_us == claim.lower_bound_us);
 }
 
 }  // namespace
