@@ -127,7 +127,11 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
   OneRelease whole = part_of(app, options.objectives, std::vector<char>(app.xnodes.size(), 1));
   // The baselines have no order of their own, and know of no chains.
   const bool keeps_order = options.method == "auto" || options.method == "search";
-  if (keeps_order) add_deadlines(app, p, whole.wishes);
+  const bool alike = std::all_of(p.chains.begin(), p.chains.end(), [&](const Chain& c) {
+    return c.deadline == p.chains.front().deadline;
+  });
+  // Where every end has the same deadline the last end says all, and the search for it alone is better.
+  if (keeps_order && !(alike && every_end_is_a_chain(p))) add_deadlines(app, p, whole.wishes);
   options.objectives = std::move(whole.wishes);
   options.certify = keeps_order;
   XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(whole.app, platform, options));

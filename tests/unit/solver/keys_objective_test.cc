@@ -8,6 +8,7 @@
 #include "model/json.h"
 #include "solver/generate.h"
 #include "solver/keys/check.h"
+#include "solver/keys/one_release.h"
 #include "solver/keys/solve.h"
 
 #include "keys_random.h"
@@ -177,6 +178,33 @@ TEST(KeysObjective, TheProofOfTheOnlyChainIsInItsClaim) {
   const ChainClaim& claim = answer->policy.chains[0];
   EXPECT_EQ(claim.lower_bound_us, std::llround(answer->bounds.largest));
   EXPECT_EQ(claim.optimal, claim.worst_case_us == claim.lower_bound_us);
+}
+
+/// With the deadline as a wish of its own the plan was so much longer that releases met: 626 ms back to back where 246
+/// are enough.
+TEST(KeysObjective, OneDeadlineOfAllMakesNoOtherPlan) {
+  GenerateOptions synthetic;
+  synthetic.nodes = 60;
+  synthetic.seed = 8003;
+  AppSpec app = *parse_app(to_json(*generate(synthetic)), "app.json");
+  app.one_at_a_time = false;
+  app.sources[0].period = {250'000};
+  Platform platform = *Platform::builtin("small");
+  for (Xpu& xpu : platform.xpus) xpu.preemptive = xpu.type == "cpu";
+  std::vector<std::int64_t> ends;
+  for (const std::optional<std::int64_t> deadline_us :
+       {std::optional<std::int64_t>(), std::optional<std::int64_t>(253'000)}) {
+    app.chains[0].deadline_us = deadline_us;
+    SolveOptions options;
+    options.max_evaluations = 20'000;
+    const auto plan =
+        plan_of_one_release(app, platform, *Problem::create(app, platform, {}), options);
+    ASSERT_TRUE(plan) << plan.error().to_string();
+    std::int64_t end = 0;
+    for (const Placement& placed : plan->policy.placements) end = std::max(end, placed.key_us[0]);
+    ends.push_back(end);
+  }
+  EXPECT_EQ(ends[0], ends[1]);
 }
 
 }  // namespace
