@@ -47,7 +47,10 @@ constexpr double kSlicesForChanges = 12, kSlicesForHandovers = 4;
 constexpr double kForSplit = 1.0 / 200, kSplitsForShared = 4, kForSplits = 0.25;
 /// Of a scenario's share: its bounds, where each clock has XPUs of its own in the tables.
 constexpr double kForBounds = 0.25;
-constexpr double kForWhole = 0.1;         ///< of what is left: one table for all scenarios
+constexpr double kForWhole = 0.1;  ///< of what is left: one table for all scenarios
+/// Of so few scenarios a table of each set of them is searched, in a share of what is left together.
+constexpr std::size_t kFewScenarios = 4;
+constexpr double kForSets = 0.2;
 constexpr double kForClaimed = 1.0 / 50;  ///< whether each change has a worst case
 /// Searches for the least loss that a scenario's share is divided by.
 constexpr double kLossTries = 8;
@@ -84,6 +87,7 @@ class KeyTablesSearch {
     XAUTO_TRY(split_by_clock());
     XAUTO_TRY(solve_each());
     for (std::size_t loss = 0; loss < losses_.size(); ++loss) solve_all(loss);
+    solve_sets();
     TableChoice best = choose();
     std::optional<bool> all_claimed;
     for (int round = 0; options_.max_evaluations == 0 || round < kTableRounds; ++round) {
@@ -336,6 +340,31 @@ class KeyTablesSearch {
     if (!answer || answer->outcome != Outcome::kPolicy) return;
     add(envelope, loss, answer->policy);
     rate(candidates_.back());
+  }
+
+  /// improve() moves scenarios that limit, one at a time. It does not join two that do not, so that a
+  /// table more is left for those that do.
+  void solve_sets() {
+    const std::size_t n = scenarios_.size();
+    if (n > kFewScenarios || run_.most() < 2 || at(run_.most()) >= n) return;
+    const double slice =
+        std::max(kLeastForTableS, (options_.time_limit_s - run_.elapsed()) * kForSets /
+                                      static_cast<double>(std::size_t{1} << n));
+    for (std::size_t set = 1; set < std::size_t{1} << n && fit(1, slice); ++set) {
+      std::vector<int> group;
+      for (std::size_t s = 0; s < n; ++s)
+        if ((set >> s & 1) != 0) group.push_back(static_cast<int>(s));
+      const std::size_t loss = loss_of_[at(group.front())];
+      const Scenario envelope = join(group);
+      if (std::ranges::any_of(group, [&](int s) { return loss_of_[at(s)] != loss; }) ||
+          known(envelope, loss))
+        continue;
+      const auto answer =
+          solve_for(envelope, losses_[loss], slice, options_.threads, options_.seed, nullptr);
+      if (!answer || answer->outcome != Outcome::kPolicy) continue;
+      add(envelope, loss, answer->policy);
+      rate(candidates_.back());
+    }
   }
 
   [[nodiscard]] Scenario join(const std::vector<int>& group) const {
