@@ -119,8 +119,9 @@ class Salvage {
     return {};
   }
 
-  /// Nullopt: its lengths contradict each other.
-  Result<std::optional<Block>> block_at(std::uint64_t at, const RecordHead& record) {
+  /// Nullopt: its lengths contradict each other. `behind`: bytes of it that are no records; the format lets them be.
+  Result<std::optional<Block>> block_at(std::uint64_t at, const RecordHead& record,
+                                        std::uint64_t& behind) {
     XAUTO_ASSIGN(
         const auto bytes,
         file_.look(at + kRecordHead, static_cast<std::size_t>(std::min<std::uint64_t>(
@@ -137,18 +138,24 @@ class Salvage {
     block.bytes = head->uncompressed_bytes;
     block.crc = head->uncompressed_crc;
     block.compression = *compression;
-    const bool agrees = record.length >= before && head->bytes == record.length - before &&
+    const bool agrees = record.length >= before && head->bytes <= record.length - before &&
                         block.data_bytes <= kMaxChunkBytes && block.bytes <= kMaxChunkBytes &&
                         (block.compression != Compression::kNone || block.bytes == head->bytes);
-    return agrees ? std::optional<Block>(block) : std::nullopt;
+    if (!agrees) return std::optional<Block>();
+    behind = record.length - before - head->bytes;
+    return std::optional<Block>(block);
   }
 
   Status chunk(std::uint64_t at, const RecordHead& record) {
-    XAUTO_ASSIGN(const auto block, block_at(at, record));
+    std::uint64_t behind = 0;
+    XAUTO_ASSIGN(const auto block, block_at(at, record, behind));
     if (!block)
       return left_out(record_at(Op::kChunk, at) +
                       " is no Chunk, or of a compression that is not known: " +
                       std::to_string(record.length) + " bytes");
+    if (behind > 0)
+      XAUTO_TRY(left_out(record_at(Op::kChunk, at) + " has " + std::to_string(behind) +
+                         " bytes behind its records"));
     const Result<std::unique_ptr<std::byte[]>> data = unpack(file_, *block);
     if (!data) return left_out(data.error());
     Cursor in({data->get(), static_cast<std::size_t>(block->bytes)});
@@ -191,8 +198,9 @@ class Salvage {
     XAUTO_ASSIGN(const RecordHead head, head_at(at));
     if (!fits(at, head)) return false;
     if (head.op == Op::kChunk) {
-      XAUTO_ASSIGN(const auto block, block_at(at, head));
-      return block.has_value();
+      std::uint64_t behind = 0;
+      XAUTO_ASSIGN(const auto block, block_at(at, head, behind));
+      return block.has_value() && behind == 0;  // a place that is sought has to be likely
     }
     if (head.length < kMessageHead || head.length > kMessageHead + kMaxMessageBytes) return false;
     XAUTO_ASSIGN(const auto content, file_.look(at + kRecordHead, kMessageHead));

@@ -178,6 +178,24 @@ TEST_F(SalvageTest, ReadingGoesOnBehindALengthThatLies) {
       << "the second chunk is there";
 }
 
+// The format lets a record be longer than its fields, and the reader does.
+TEST_F(SalvageTest, OfAChunkWithMoreBehindItsRecordsTheRecordsAreTaken) {
+  Bytes first = front(), second;
+  put_chunk(first, some(0, 10));
+  put_chunk(second, some(10, 20));
+  std::string bytes(reinterpret_cast<const char*>(first.view().data()), first.size());
+  char& length = bytes[front().size() + 1];
+  ASSERT_LT(static_cast<unsigned char>(length), 240);
+  length = static_cast<char>(length + 16);
+  bytes.append(16, '\0');
+  bytes.append(reinterpret_cast<const char*>(second.view().data()), second.size());
+  std::ofstream(path("a.mcap"), std::ios::binary) << bytes;
+  Salvaged of;
+  EXPECT_EQ(numbers("a.mcap", &of), all_but({}));
+  ASSERT_EQ(of.faults, 2u) << "that, and that the file has no end";
+  EXPECT_NE(of.left_out[0].find("16 bytes behind its records"), std::string::npos);
+}
+
 TEST_F(SalvageTest, WhatAChecksumContradictsIsLeftOutWhole) {
   Bytes out = front();
   put_chunk(out, some(0, 10), 1);
