@@ -112,10 +112,32 @@ class Salvage {
                       " bytes");
     const Result<std::int64_t> stamp = timestamp(file_, time, where);
     if (!stamp) return left_out(stamp.error());
-    const std::optional<Topic> topic = channels_.topic(id);
+    std::optional<Topic> topic = channels_.topic(id);
+    if (!topic) {
+      XAUTO_TRY(look_for_channels());
+      topic = elsewhere_->topic(id);
+    }
     if (!topic) return left_out(where + ": there is no channel " + std::to_string(id));
     XAUTO_TRY(take_(*topic, *stamp, content.subspan(kMessageHead)));
     ++out_.messages;
+    return {};
+  }
+
+  /// Of the whole file, as far as records follow each other: the summary repeats what is damaged before.
+  Status look_for_channels() {
+    if (elsewhere_) return {};
+    elsewhere_.emplace();
+    for (std::uint64_t at = kMagic.size(); at + kRecordHead <= file_.size();) {
+      XAUTO_ASSIGN(const RecordHead head, head_at(at));
+      if (!fits(at, head)) return {};
+      if ((head.op == Op::kSchema || head.op == Op::kChannel) && head.length <= kMaxRecordBytes) {
+        std::vector<std::byte> content(static_cast<std::size_t>(head.length));
+        XAUTO_TRY(file_.read(at + kRecordHead, content));
+        (void)elsewhere_->add(file_, head.op, content,
+                              at);  // what is wrong with it is told where it stands
+      }
+      at += kRecordHead + head.length;
+    }
     return {};
   }
 
@@ -219,6 +241,7 @@ class Salvage {
   const Take& take_;
   Salvaged& out_;
   Channels channels_;
+  std::optional<Channels> elsewhere_;  ///< looked for when a channel is missing
 };
 
 }  // namespace

@@ -196,6 +196,23 @@ TEST_F(SalvageTest, OfAChunkWithMoreBehindItsRecordsTheRecordsAreTaken) {
   EXPECT_NE(of.left_out[0].find("16 bytes behind its records"), std::string::npos);
 }
 
+// The summary repeats schemas and channels: there is one more place to have them from.
+TEST_F(SalvageTest, WhereASchemaIsDamagedThatOfTheSummaryCounts) {
+  Bytes out = front();
+  for (const Written& m : twenty()) put(out, m);
+  mcap::put(out, mcap::Schema{1, "a/msg/B", "ros2msg", "uint64 data\n"});
+  mcap::put(out, mcap::Channel{1, 1, "/x", "cdr", {}});
+  std::string bytes(reinterpret_cast<const char*>(out.view().data()), out.size());
+  const std::size_t schema =
+      bytes.find("a/msg/B") - 4 - 2 - 9;  // its length, the schema's id, the record's head
+  ASSERT_EQ(static_cast<mcap::Op>(bytes[schema]), mcap::Op::kSchema);
+  bytes[schema] = '\x7f';
+  std::ofstream(path("a.mcap"), std::ios::binary) << bytes;
+  Salvaged of;
+  EXPECT_EQ(numbers("a.mcap", &of), all_but({}));
+  EXPECT_EQ(of.faults, 3u) << "the schema, its channel, and that the file has no end";
+}
+
 TEST_F(SalvageTest, WhatAChecksumContradictsIsLeftOutWhole) {
   Bytes out = front();
   put_chunk(out, some(0, 10), 1);
