@@ -14,6 +14,7 @@
 #include <linux/device.h>
 #include <linux/fs.h>
 #include <linux/hrtimer.h>
+#include <linux/kthread.h>
 #include <net/genetlink.h>
 
 /* Since 6.1: the number of the first command that checks reserved header bytes. */
@@ -84,6 +85,16 @@ static inline void xauto_hrtimer_setup(struct hrtimer *timer,
 	timer->function = function;
 #endif
 }
+
+/*
+ * Since 6.14 a worker that is only created sleeps uninterruptibly until its first work: after two
+ * minutes the kernel says that it hangs, and may panic for that.
+ */
+#ifdef kthread_run_worker
+#define xauto_kthread_run_worker kthread_run_worker
+#else
+#define xauto_kthread_run_worker kthread_create_worker
+#endif
 
 /* Since 6.12 seeking is refused by leaving llseek out. */
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 12, 0)

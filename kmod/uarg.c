@@ -170,7 +170,7 @@ int xauto_uarg_init(void)
 		mutex_init(&lane->busy);
 		lane->address = xauto_uarg_page + i * 2 * UARG_MAX;
 		kthread_init_work(&lane->work, xauto_uarg_call);
-		lane->worker = kthread_create_worker(0, "xauto/ioctl%d", i);
+		lane->worker = xauto_kthread_run_worker(0, "xauto/ioctl%d", i);
 		if (IS_ERR(lane->worker)) {
 			int err = PTR_ERR(lane->worker);
 

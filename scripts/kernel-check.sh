@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # The kernel side's tests, each in a freshly booted VM: what `make kernel-check` does and `make check` includes.
 # usage: kernel-check.sh [BUILD_DIR] [LANE ...]        lanes: see below; default: those of `make check`, or of `make check-full`
-#   with XAUTO_FULL=1.
+#   with XAUTO_FULL=1. VM_APPEND, VM_LIMIT_S: see run-vm.sh; each lane has them.
 # Prints failures and a last line "N passed, M failed, K skipped"; the whole logs are in BUILD_DIR/vm/.
 set -uo pipefail
 cd "$(dirname "$0")/.."
@@ -96,6 +96,7 @@ kmod() {
   [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20"
   # lockdep's reports are warnings; "quiet" hides those.
   [ "$1" != kasan ] || append+=" XAUTO_ATTACK=100000 loglevel=5 log_buf_len=4M"
+  append+=" ${VM_APPEND:-}" # of the same name the last counts
   VM_APPEND=$append in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
   no_reports "kmod-$1-${2:-amd64}"
 }
@@ -144,7 +145,7 @@ scx() {
   for program in run tools trace container; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FULL=1 xauto.kills=200 xauto.tables=10000 xauto.loads=8"
-  VM_APPEND=$append VM_ICOUNT=2 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+  VM_APPEND="$append ${VM_APPEND:-}" VM_ICOUNT=2 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 
 # at-once NAME: of that, what needs CPUs that run at the same time.
@@ -153,7 +154,7 @@ at_once() {
   note "sched_ext on CPUs that run at once, on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
   for program in scx_test scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
-  VM_APPEND=xauto.at-once VM_THREADS=single in_vm "at-once-$1" "$kernel" run-scx "${items[@]}"
+  VM_APPEND="xauto.at-once ${VM_APPEND:-}" VM_THREADS=single in_vm "at-once-$1" "$kernel" run-scx "${items[@]}"
 }
 
 # machine NAME: what takes four CPUs in two clusters, and containers. In the guest's own virtual time.
@@ -164,7 +165,7 @@ machine() {
   for program in scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   items+=("tests/kselftest/scx/container.sh:/tests/scx/container.sh")
-  VM_CPUS=4,sockets=2,cores=2 VM_ICOUNT=1 VM_APPEND=${XAUTO_FULL:+xauto.full} VM_LIMIT_S=${VM_LIMIT_S:-900} \
+  VM_CPUS=4,sockets=2,cores=2 VM_ICOUNT=1 VM_APPEND="${XAUTO_FULL:+xauto.full} ${VM_APPEND:-}" VM_LIMIT_S=${VM_LIMIT_S:-900} \
     in_vm "machine-$1" "$kernel" run-machine "${items[@]}"
 }
 
@@ -175,7 +176,7 @@ keys() {
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
   for program in periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do items+=("$build/bin/$program"); done
   for program in keys.sh keys.awk; do items+=("tests/kselftest/scx/$program:/tests/scx/$program"); done
-  VM_APPEND=${XAUTO_FULL:+xauto.seconds=190} VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+5400}} \
+  VM_APPEND="${XAUTO_FULL:+xauto.seconds=190} ${VM_APPEND:-}" VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+5400}} \
     in_vm "keys-$1" "$kernel" run-keys "${items[@]}"
   grep '^# jobs' "$out/keys-$1.log"
 }

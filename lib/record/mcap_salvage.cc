@@ -112,15 +112,38 @@ class Salvage {
                       " bytes");
     const Result<std::int64_t> stamp = timestamp(file_, time, where);
     if (!stamp) return left_out(stamp.error());
-    const std::optional<Topic> topic = channels_.topic(id);
+    std::optional<Topic> topic = channels_.topic(id);
+    if (!topic) {
+      XAUTO_TRY(look_for_channels());
+      topic = elsewhere_->topic(id);
+    }
     if (!topic) return left_out(where + ": there is no channel " + std::to_string(id));
     XAUTO_TRY(take_(*topic, *stamp, content.subspan(kMessageHead)));
     ++out_.messages;
     return {};
   }
 
-  /// Nullopt: its lengths contradict each other.
-  Result<std::optional<Block>> block_at(std::uint64_t at, const RecordHead& record) {
+  /// Of the whole file, as far as records follow each other: the summary repeats what is damaged before.
+  Status look_for_channels() {
+    if (elsewhere_) return {};
+    elsewhere_.emplace();
+    for (std::uint64_t at = kMagic.size(); at + kRecordHead <= file_.size();) {
+      XAUTO_ASSIGN(const RecordHead head, head_at(at));
+      if (!fits(at, head)) return {};
+      if ((head.op == Op::kSchema || head.op == Op::kChannel) && head.length <= kMaxRecordBytes) {
+        std::vector<std::byte> content(static_cast<std::size_t>(head.length));
+        XAUTO_TRY(file_.read(at + kRecordHead, content));
+        (void)elsewhere_->add(file_, head.op, content,
+                              at);  // what is wrong with it is told where it stands
+      }
+      at += kRecordHead + head.length;
+    }
+    return {};
+  }
+
+  /// Nullopt: its lengths contradict each other. `behind`: bytes of it that are no records; the format lets them be.
+  Result<std::optional<Block>> block_at(std::uint64_t at, const RecordHead& record,
+                                        std::uint64_t& behind) {
     XAUTO_ASSIGN(
         const auto bytes,
         file_.look(at + kRecordHead, static_cast<std::size_t>(std::min<std::uint64_t>(
@@ -137,18 +160,24 @@ class Salvage {
     block.bytes = head->uncompressed_bytes;
     block.crc = head->uncompressed_crc;
     block.compression = *compression;
-    const bool agrees = record.length >= before && head->bytes == record.length - before &&
+    const bool agrees = record.length >= before && head->bytes <= record.length - before &&
                         block.data_bytes <= kMaxChunkBytes && block.bytes <= kMaxChunkBytes &&
                         (block.compression != Compression::kNone || block.bytes == head->bytes);
-    return agrees ? std::optional<Block>(block) : std::nullopt;
+    if (!agrees) return std::optional<Block>();
+    behind = record.length - before - head->bytes;
+    return std::optional<Block>(block);
   }
 
   Status chunk(std::uint64_t at, const RecordHead& record) {
-    XAUTO_ASSIGN(const auto block, block_at(at, record));
+    std::uint64_t behind = 0;
+    XAUTO_ASSIGN(const auto block, block_at(at, record, behind));
     if (!block)
       return left_out(record_at(Op::kChunk, at) +
                       " is no Chunk, or of a compression that is not known: " +
                       std::to_string(record.length) + " bytes");
+    if (behind > 0)
+      XAUTO_TRY(left_out(record_at(Op::kChunk, at) + " has " + std::to_string(behind) +
+                         " bytes behind its records"));
     const Result<std::unique_ptr<std::byte[]>> data = unpack(file_, *block);
     if (!data) return left_out(data.error());
     Cursor in({data->get(), static_cast<std::size_t>(block->bytes)});
@@ -191,8 +220,9 @@ class Salvage {
     XAUTO_ASSIGN(const RecordHead head, head_at(at));
     if (!fits(at, head)) return false;
     if (head.op == Op::kChunk) {
-      XAUTO_ASSIGN(const auto block, block_at(at, head));
-      return block.has_value();
+      std::uint64_t behind = 0;
+      XAUTO_ASSIGN(const auto block, block_at(at, head, behind));
+      return block.has_value() && behind == 0;  // a place that is sought has to be likely
     }
     if (head.length < kMessageHead || head.length > kMessageHead + kMaxMessageBytes) return false;
     XAUTO_ASSIGN(const auto content, file_.look(at + kRecordHead, kMessageHead));
@@ -211,6 +241,7 @@ class Salvage {
   const Take& take_;
   Salvaged& out_;
   Channels channels_;
+  std::optional<Channels> elsewhere_;  ///< looked for when a channel is missing
 };
 
 }  // namespace

@@ -3,6 +3,8 @@
 #include <array>
 #include <atomic>
 #include <csignal>
+#include <filesystem>
+#include <string>
 #include <vector>
 
 #include <fcntl.h>
@@ -523,6 +525,17 @@ void dumps() {
   churn.join();
 }
 
+/// The module's threads that sleep as the hung-task detector's victims do, after 120 s; -1: it has none.
+int threads_that_look_hung() {
+  int threads = 0, hung = 0;
+  for (const auto& process : std::filesystem::directory_iterator("/proc")) {
+    const std::string stat = guest::slurp(process.path() / "stat");  // "7 (xauto/ioctl0) S ..."
+    threads += has(stat, "(xauto/ioctl");
+    hung += has(stat, "(xauto/ioctl") && has(stat, ") D ");
+  }
+  return threads == 0 ? -1 : hung;
+}
+
 void unload() {
   DriverQueue tsg = gpu(), queue = dla();
   QueueControl c = control();
@@ -532,12 +545,14 @@ void unload() {
   ktap_test(system("rmmod xauto") == 0, "the module unloads");
   ktap_test(guest::suspended() == 0, "and has resumed both");
   ktap_test(system("insmod /modules/xauto.ko") == 0, "it loads again");
+  ktap_test(guest::eventually([] { return threads_that_look_hung() == 0; }),
+            "its threads, which nobody has called yet, do not look hung");
 }
 
 }  // namespace
 
 int main() {
-  ktap_plan(78);
+  ktap_plan(79);
   refusals();
   ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
             "nothing is left suspended by the refusals");

@@ -178,6 +178,41 @@ TEST_F(SalvageTest, ReadingGoesOnBehindALengthThatLies) {
       << "the second chunk is there";
 }
 
+// The format lets a record be longer than its fields, and the reader does.
+TEST_F(SalvageTest, OfAChunkWithMoreBehindItsRecordsTheRecordsAreTaken) {
+  Bytes first = front(), second;
+  put_chunk(first, some(0, 10));
+  put_chunk(second, some(10, 20));
+  std::string bytes(reinterpret_cast<const char*>(first.view().data()), first.size());
+  char& length = bytes[front().size() + 1];
+  ASSERT_LT(static_cast<unsigned char>(length), 240);
+  length = static_cast<char>(length + 16);
+  bytes.append(16, '\0');
+  bytes.append(reinterpret_cast<const char*>(second.view().data()), second.size());
+  std::ofstream(path("a.mcap"), std::ios::binary) << bytes;
+  Salvaged of;
+  EXPECT_EQ(numbers("a.mcap", &of), all_but({}));
+  ASSERT_EQ(of.faults, 2u) << "that, and that the file has no end";
+  EXPECT_NE(of.left_out[0].find("16 bytes behind its records"), std::string::npos);
+}
+
+// The summary repeats schemas and channels: there is one more place to have them from.
+TEST_F(SalvageTest, WhereASchemaIsDamagedThatOfTheSummaryCounts) {
+  Bytes out = front();
+  for (const Written& m : twenty()) put(out, m);
+  mcap::put(out, mcap::Schema{1, "a/msg/B", "ros2msg", "uint64 data\n"});
+  mcap::put(out, mcap::Channel{1, 1, "/x", "cdr", {}});
+  std::string bytes(reinterpret_cast<const char*>(out.view().data()), out.size());
+  const std::size_t schema =
+      bytes.find("a/msg/B") - 4 - 2 - 9;  // its length, the schema's id, the record's head
+  ASSERT_EQ(static_cast<mcap::Op>(bytes[schema]), mcap::Op::kSchema);
+  bytes[schema] = '\x7f';
+  std::ofstream(path("a.mcap"), std::ios::binary) << bytes;
+  Salvaged of;
+  EXPECT_EQ(numbers("a.mcap", &of), all_but({}));
+  EXPECT_EQ(of.faults, 3u) << "the schema, its channel, and that the file has no end";
+}
+
 TEST_F(SalvageTest, WhatAChecksumContradictsIsLeftOutWhole) {
   Bytes out = front();
   put_chunk(out, some(0, 10), 1);
