@@ -356,12 +356,15 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   std::vector<Tick> work(at(p_.num_xnodes));
   for (int i = 0; i < p_.num_xnodes; ++i) work[at(i)] = std::max(Tick{1}, p_.wcet(i, d.xpu[at(i)]));
   const std::vector<Tick> head = heads(p_, work), tail = tails(p_, work);
+  std::vector<Tick> span(p_.components.size(), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    Tick& whole = span[at(p_.component_of[at(i)])];
+    whole = std::max(whole, head[at(i)] + work[at(i)] + tail[at(i)]);
+  }
   d.key.resize(at(p_.num_xnodes));
   for (int i = 0; i < p_.num_xnodes; ++i) {
-    Tick span = 0;
-    for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
-      span = std::max(span, head[at(j)] + work[at(j)] + tail[at(j)]);
-    const Tick due = rule == 0 ? std::max(p_.period_of(i), span) : span;
+    const Tick whole = span[at(p_.component_of[at(i)])];
+    const Tick due = rule == 0 ? std::max(p_.period_of(i), whole) : whole;
     d.key[at(i)] = rule == 2 ? p_.period_of(i) + head[at(i)] / kPartOfHead : due - tail[at(i)];
   }
   return d;
