@@ -127,8 +127,8 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
   }
   // What an end lets come (the next release in lockstep, say) is there before that end is told to all: it waits for
   // the activation, which is free then.
-  const bool skip = skips_ && room() == nullptr && ending_ == 0 && envelope.message != nullptr;
-  const std::uint32_t replaced = skips_ && ending_ > 0 ? XAUTO_DROP_SKIPPED : XAUTO_DROP_OVERRUN;
+  const bool skip = skips_ && room() == nullptr && !ending_ && envelope.message != nullptr;
+  const std::uint32_t replaced = skips_ && ending_ ? XAUTO_DROP_SKIPPED : XAUTO_DROP_OVERRUN;
   if (numbered_) {
     if (gap) settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
     if (envelope.message == nullptr)
@@ -454,14 +454,14 @@ void ModuleRuntime::settle_only(Activation& activation, bool succeeded, std::vec
   Skipped skipped;
   if (skips_) {
     const Guard lock(mutex_);
-    ending_ = 1;
+    ending_ = true;
   }
   tell(activation, succeeded, skipped);
   tell_skipped(skipped);
   {
     const Guard lock(mutex_);
     turns_.pop_front();
-    ending_ = 0;
+    ending_ = false;
     empty(activation);
     fire(lost, started);
     collect_locked();
@@ -562,7 +562,7 @@ void ModuleRuntime::tell_collected(std::vector<Lost>& lost, Started& started) {
   for (const Turn& turn : settled_)
     if (turn.activation != nullptr) empty(*turn.activation);
   settled_.clear();
-  ending_ = 0;
+  ending_ = false;
   fire(lost, started);
   collect_locked();
 }

@@ -203,7 +203,7 @@ class alignas(64) ModuleRuntime {
   void collect_locked() XAUTO_REQUIRES(order_, mutex_) {
     for (; over(); turns_.pop_front()) {
       settled_.push_back(turns_.front());
-      ending_ += turns_.front().activation != nullptr ? 1 : 0;
+      ending_ = ending_ || turns_.front().activation != nullptr;
     }
   }
   [[nodiscard]] bool held(const Activation& activation) XAUTO_REQUIRES(mutex_);
@@ -267,8 +267,8 @@ class alignas(64) ModuleRuntime {
       0;  ///< a queue that was empty when last looked at: the first to look at
   std::uint64_t next_ XAUTO_GUARDED_BY(mutex_) =
       0;  ///< numbered: releases below this number are settled, taken or lost
-  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;    ///< activations that were given up
-  std::size_t ending_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< ... whose end is being told: free soon
+  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations that were given up
+  bool ending_ XAUTO_GUARDED_BY(mutex_) = false;   ///< an end is being told: there is room soon
   Overload overload_ XAUTO_GUARDED_BY(mutex_);
   std::uint64_t fired_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations so far
   /// What is not settled yet, the oldest first. Numbered: what was lost is told in its turn, since

@@ -37,15 +37,11 @@ void compare(const ChainClaim& claim, ChainProof& proof, CheckReport& report) {
                      claim.lower_bound_us, claim.worst_case_us));
 }
 
-/// Keeps a lie, and goes on behind it. Null: it is one, or `status` has what else is wrong.
-template <class T>
-T* shown(Result<T>& made, CheckReport& report, Status& status) {
-  if (made) return &*made;
-  if (made.error().code == ErrorCode::kInfeasible)
-    report.lies.push_back(made.error());
-  else if (status)
-    status = tl::unexpected<Error>(made.error());
-  return nullptr;
+/// Keeps a lie; what else is wrong is returned.
+Status keep_lie(const Error& error, CheckReport& report) {
+  if (error.code != ErrorCode::kInfeasible) return tl::unexpected<Error>(error);
+  report.lies.push_back(error);
+  return {};
 }
 
 }  // namespace checking
@@ -62,12 +58,12 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
     return fail(ErrorCode::kInvalid, "is not certified: it claims nothing that could be derived",
                 "policy", "`xauto solve` says what would make it certified");
   CheckReport report;
-  Status sense;
-  Result<checking::World> derived = checking::derive(app, platform, policy);
-  const checking::World* world = checking::shown(derived, report, sense);
-  XAUTO_TRY(sense);
-  if (world == nullptr) return report;
-  const checking::World& w = *world;
+  const Result<checking::World> derived = checking::derive(app, platform, policy);
+  if (!derived) {
+    XAUTO_TRY(checking::keep_lie(derived.error(), report));
+    return report;
+  }
+  const checking::World& w = *derived;
   if (policy.chains.size() != app.chains.size())
     return fail(ErrorCode::kInvalid,
                 fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
@@ -81,13 +77,12 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
     longest_us = std::max(longest_us, *std::ranges::max_element(placed.key_us));
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
     Result<XpuProof> load = checking::prove_load(w, static_cast<int>(m));
-    XpuProof* found = checking::shown(load, report, sense);
-    XAUTO_TRY(sense);
-    if (found == nullptr) {
+    if (!load) {
+      XAUTO_TRY(checking::keep_lie(load.error(), report));
       report.xpus.emplace_back().xpu = platform.xpus[m].id;
       continue;
     }
-    XpuProof& proof = *found;
+    XpuProof& proof = *load;
     if (app.one_at_a_time && longest_us > 0) {  // no release takes longer
       proof.load *= static_cast<double>(proof.repeats_us) / static_cast<double>(longest_us);
       proof.repeats_us = static_cast<double>(longest_us);
@@ -101,10 +96,11 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
           fmt::format("chain {} is '{}', not '{}'", k, policy.chains[k].name, app.chains[k].name),
           "policy");
     Result<ChainProof> chain = checking::derive_chain(w, k, false);
-    ChainProof* found = checking::shown(chain, report, sense);
-    XAUTO_TRY(sense);
-    if (found == nullptr) break;
-    ChainProof& proof = *found;
+    if (!chain) {
+      XAUTO_TRY(checking::keep_lie(chain.error(), report));
+      break;
+    }
+    ChainProof& proof = *chain;
     proof.claimed_urgent_us = policy.chains[k].urgent_worst_case_us;
     if (app.sources[at(app.chains[k].from)].urgent) {
       XAUTO_ASSIGN(const ChainProof urgent, checking::derive_chain(w, k, true));

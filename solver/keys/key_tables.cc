@@ -331,12 +331,17 @@ class KeyTablesSearch {
     for (std::size_t s = 0; s < scenarios_.size(); ++s)
       if (loss_of_[s] == loss) all.push_back(static_cast<int>(s));
     if (all.empty()) return;
-    const Scenario envelope = join(all);
+    solve_together(all,
+                   std::max(kLeastForWholeS, (options_.time_limit_s - run_.elapsed()) * kForWhole));
+  }
+
+  /// A candidate for all of `group`, of one loss, unless there is one.
+  void solve_together(const std::vector<int>& group, double seconds) {
+    const std::size_t loss = loss_of_[at(group.front())];
+    const Scenario envelope = join(group);
     if (known(envelope, loss)) return;
     const auto answer =
-        solve_for(envelope, losses_[loss],
-                  std::max(kLeastForWholeS, (options_.time_limit_s - run_.elapsed()) * kForWhole),
-                  options_.threads, options_.seed, nullptr);
+        solve_for(envelope, losses_[loss], seconds, options_.threads, options_.seed, nullptr);
     if (!answer || answer->outcome != Outcome::kPolicy) return;
     add(envelope, loss, answer->policy);
     rate(candidates_.back());
@@ -355,15 +360,8 @@ class KeyTablesSearch {
       for (std::size_t s = 0; s < n; ++s)
         if ((set >> s & 1) != 0) group.push_back(static_cast<int>(s));
       const std::size_t loss = loss_of_[at(group.front())];
-      const Scenario envelope = join(group);
-      if (std::ranges::any_of(group, [&](int s) { return loss_of_[at(s)] != loss; }) ||
-          known(envelope, loss))
-        continue;
-      const auto answer =
-          solve_for(envelope, losses_[loss], slice, options_.threads, options_.seed, nullptr);
-      if (!answer || answer->outcome != Outcome::kPolicy) continue;
-      add(envelope, loss, answer->policy);
-      rate(candidates_.back());
+      if (std::ranges::all_of(group, [&](int s) { return loss_of_[at(s)] == loss; }))
+        solve_together(group, slice);
     }
   }
 

@@ -156,8 +156,8 @@ struct Seed {
 };
 struct Seeds {
   std::vector<Seed> seeds;
-  double largest = 0;  ///< of all chains no policy has less, as Figures::largest; 0: not known
-  Tick of_chain = 0;   ///< of the only chain; 0: there are more, or it is not known
+  /// No policy ends all chains earlier, where all are measured alike; 0: they are not, or it is not known.
+  Tick bound = 0;
 };
 
 /// The plan of one release, where that is all there is, and a hint with order.
@@ -199,9 +199,7 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
     add(plan->policy);
     const bool alike = std::all_of(p.chains.begin(), p.chains.end(),
                                    [&](const Chain& c) { return c.by == p.chains.front().by; });
-    if (alike)
-      found.largest = static_cast<double>(plan->bound) / static_cast<double>(p.chains.front().by);
-    if (p.chains.size() == 1) found.of_chain = plan->bound;
+    if (alike) found.bound = plan->bound;
   }
   return found;
 }
@@ -341,7 +339,9 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
 
   // First the plans of one release, each with its order; then what has none.
   XAUTO_ASSIGN(const Seeds begins, seeds_of(app, platform, p, options, limit));
-  const auto& [seeds, least_of_all, of_chain] = begins;
+  const auto& [seeds, bound] = begins;
+  const double least_of_all =
+      bound == 0 ? 0 : static_cast<double>(bound) / static_cast<double>(p.chains.front().by);
   Round round{options, elapsed};
   std::optional<Incumbents> planned;
   const Seed* seed = nullptr;
@@ -419,7 +419,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   }
   // What is left of the time makes the bounds better.
   if (shortest && limit < kNoLimitS) for_finer = part_of(for_finer, kForPlans);
-  if (p.chains.size() == 1) bounds[0] = std::max(bounds[0], of_chain);
+  if (p.chains.size() == 1) bounds[0] = std::max(bounds[0], bound);
   if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(for_finer);
   for (std::size_t c = 0; c < bounds.size(); ++c) answer.lower_bound_us[c] = us_above(p, bounds[c]);
   const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);

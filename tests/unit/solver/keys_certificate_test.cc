@@ -2,7 +2,11 @@
 // What the solver's own certificate accepts, by itself. Policies of the search hold what a
 // non-preemptive XPU must not take early, so that most charges of the certificate never decide there.
 // Keys and holds of others have to be judged right, too: a hint's, a caller's.
+#include <utility>
+
 #include <gtest/gtest.h>
+
+#include "solver/keys/check.h"
 
 #include "attack/attack.h"
 #include "attack/producer.h"
@@ -67,6 +71,77 @@ TEST(KeysCertificate, PairsAreCountedOn) {
   EXPECT_GE(made, 20);
   EXPECT_GE(refused, made / 4);
   EXPECT_GE(broken, 4);
+}
+
+/// Solver and check have a short way for XNodes of one component with one activation a hyperperiod. Beside a component of
+/// twice the period, on an XPU of its own, the same policy has two: the long way has to charge the same.
+TEST(KeysCertificate, WhatIsChargedDoesNotDependOnWhoElseThereIs) {
+  int apart = 0, charged = 0, blocked = 0;
+  for (std::uint64_t seed = 1; seed <= 400; ++seed) {
+    attack::Wanted w;
+    w.components = 1;
+    w.load = seed % 2 == 0 ? 0.9 : 0.5;
+    w.preempt_us = seed % 3 == 0 ? 0 : 10;
+    w.preemptive = seed % 4 != 3;
+    w.levels = seed % 4 == 1 ? 1 + static_cast<int>(seed % 3) : 0;
+    w.holds = seed % 5 > 1;
+    w.order = seed % 7 > 3;
+    const auto alone = attack::valid(seed, w);
+    if (!alone) continue;
+    Case beside = *alone;
+    SourceSpec source = beside.app.sources.front();
+    source.name = "another";
+    source.period.num *= 2;
+    beside.app.sources.push_back(source);
+    beside.app.modules.push_back({"another", 1, false});
+    beside.app.xnodes.push_back({"another", "another", {{"npu", 1}}});
+    beside.app.xnodes.back().sources = {static_cast<int>(beside.app.sources.size()) - 1};
+    beside.platform.xpus.push_back({"npu0", "npu"});
+    const int npu = static_cast<int>(beside.platform.xpus.size()) - 1;
+    const std::int64_t key = 1 + source.jitter_us + source.offset_us;
+    beside.policy.placements.push_back({npu, {key}});
+    for (Placement& placed : beside.policy.placements) placed.start_us = placed.finish_us = {};
+    for (std::size_t x = 0; x + 1 < beside.policy.placements.size(); ++x)
+      for (auto* times :
+           {&beside.policy.placements[x].key_us, &beside.policy.placements[x].hold_us})
+        if (times->size() == 1) times->push_back(times->front());
+    beside.policy.app_hash = beside.app.hash();
+
+    std::vector<Charges> found;
+    std::vector<Problem> problems;
+    for (const Case* c : {&*alone, &std::as_const(beside)}) {
+      problems.push_back(*Problem::create(c->app, c->platform, {}, c->policy.order));
+      const Problem& p = problems.back();
+      std::vector<int> xpu;
+      for (const Placement& placed : c->policy.placements) xpu.push_back(placed.xpu);
+      Windows windows = keys_and_holds(p, c->policy);
+      for (std::size_t d = 0; d < p.domains.size(); ++d)
+        derive_ready(p, static_cast<int>(d), xpu, windows);
+      charge(p, xpu, windows, windows, -1, found.emplace_back());
+    }
+    const Problem &one = problems[0], &two = problems[1];
+    if (one.jobs.front() != 1) continue;
+    ++apart;
+    ASSERT_EQ(two.jobs.front(), 2);
+    for (int i = 0; i < one.num_xnodes; ++i)
+      for (int n = 0; n < 2; ++n) {
+        const std::size_t s = one.slot_of(i, 0), t = two.slot_of(i, n);
+        EXPECT_EQ(found[0].preempts[s], found[1].preempts[t]) << seed << " " << i;
+        // Of other scales: times are compared in microseconds.
+        EXPECT_EQ(found[0].blocked_by[s] * two.scale, found[1].blocked_by[t] * one.scale) << seed;
+        charged += found[0].preempts[s];
+        blocked += found[0].blocked_by[s] > 0 ? 1 : 0;
+      }
+    const auto first = check(alone->app, alone->platform, alone->policy);
+    const auto second = check(beside.app, beside.platform, beside.policy);
+    ASSERT_EQ(first.has_value(), second.has_value()) << seed;
+    for (std::size_t m = 0; first && m < first->xpus.size(); ++m)
+      EXPECT_EQ(2 * first->xpus[m].charged, second->xpus[m].charged) << seed << " XPU " << m;
+  }
+  std::printf("%d apps, %d charged, %d blocked\n", apart, charged, blocked);
+  EXPECT_GT(apart, 100);
+  EXPECT_GT(charged, 50);
+  EXPECT_GT(blocked, 50);
 }
 
 }  // namespace
