@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Apps of version 2 to measure by: perception stacks drawn at random. The same kind and seed give
+// Apps of several rates to measure by: perception stacks drawn at random. The same kind and seed give
 // the same app on every machine, since nothing is computed in floating point.
 #pragma once
 

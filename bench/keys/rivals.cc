@@ -12,7 +12,7 @@
 namespace xauto::bench {
 namespace {
 
-/// Of version 1's search; a second or two.
+/// Of the search for one release; a second or two.
 constexpr std::int64_t kEvaluations = 20'000;
 /// So many activations of everybody unfinished: nobody catches up any more.
 constexpr std::int64_t kBacklog = 20;
@@ -44,7 +44,7 @@ std::vector<int> fastest(const AppSpec& app, const Platform& platform,
   return xpu;
 }
 
-/// One release of everything, as version 1 plans it.
+/// One release of everything, as solver/solve.h plans it.
 Result<std::vector<std::int64_t>> fixed(const AppSpec& app, const Platform& platform,
                                         const std::vector<int>& xpu) {
   AppSpec once;

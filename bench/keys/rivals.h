@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What else one could do with an app of version 2, played beside a policy of keys: the same
+// What else one could do with an app of several rates, played beside a policy of keys: the same
 // placement under other rules, and everybody on its fastest type.
 #pragma once
 
@@ -21,7 +21,7 @@ struct Rival {
   double load = 0;                 ///< of the fullest XPU
 };
 
-/// "fixed": priorities that version 1's solver finds for one release of everything, placed as `ours`;
+/// "fixed": priorities that solver/solve.h finds for one release of everything, placed as `ours`;
 /// "rm": the shorter period first; "fcfs": who is ready first; "fastest": everybody on its fastest
 /// type, shorter periods first.
 [[nodiscard]] Result<std::vector<Rival>> rivals(const AppSpec& app, const Platform& platform,

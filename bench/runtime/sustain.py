@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How short the period of the Driving Case may get, on emulated XPUs.
 
-For each period: app.json of version 2 with `max_in_flight`, a policy of keys by `xauto solve`, and a run of so many
+For each period: app.json with `max_in_flight`, a policy of keys by `xauto solve`, and a run of so many
 releases, all XNodes taking their whole time. Told are what was lost, and the longest reaction of each chain beside its worst case.
 The busiest XPU's load is the least that any assignment leaves, so `period / load` of 1 cannot be passed.
 

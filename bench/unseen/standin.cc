@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A program for an app.json of version 2 that has none: each XNode keeps an emulated XPU busy for a
+// A program for an app.json with rates that has none: each XNode keeps an emulated XPU busy for a
 // random time, at most its WCET. For unseen.py and ../runtime/sustain.py.
 //
 //   bench_standin APP SEED SLACK_US

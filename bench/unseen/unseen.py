@@ -3,7 +3,7 @@
 """Apps that nothing was tuned on, run on emulated XPUs: is any chain longer than its certified worst case?
 
 Apps of several rates, of several clocks, and of both with activations in flight (bench_keys, from a seed of their own).
-Each is solved and run twice: under version 1's fixed priorities, and under keys. XNodes take random
+Each is solved and run twice: under fixed priorities, and under keys. XNodes take random
 times, the same in both runs (bench_standin). The certificate allows each XNode SLACK us more than what it draws, and each
 source JITTER us: that is what dispatch and the emulator's timers take here, as a WCET that was measured here would hold
 it. Periods and times are those of the cases times SLOWER.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random apps of version 2, and policies of keys for them: any assignment, and keys that the check
+// Random apps of several rates, and policies of keys for them: any assignment, and keys that the check
 // lets be no smaller. Not good ones, but there is no room in them for a fault of the check.
 #pragma once
 

@@ -26,6 +26,11 @@ std::string words_of_missed(const std::vector<std::string>& missed) {
   return text + ".\n";
 }
 
+std::string words_of_lies(const std::string& path, std::size_t lies) {
+  return fmt::format("\n{} lies: {} of its statements {} false.\n", path, lies,
+                     lies == 1 ? "is" : "are");
+}
+
 int exit_status(const Error& error) {
   switch (error.code) {
     case ErrorCode::kInvalid:

@@ -31,6 +31,9 @@ enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
 /// the exit status is 1. Empty: nothing is missed.
 [[nodiscard]] std::string words_of_missed(const std::vector<std::string>& missed);
 
+/// The last line about a file of which so many statements are false.
+[[nodiscard]] std::string words_of_lies(const std::string& path, std::size_t lies);
+
 struct Options {
   bool json = false;    ///< --json, accepted by every verb
   bool strict = false;  ///< --strict, accepted by every verb that reads files of ours

@@ -781,7 +781,7 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Pol
     if (!stated) root["lies"].push_back(stated.error().to_string());
     std::cout << root.dump(2) << "\n";
   } else if (!stated) {
-    std::cout << "  LIE    " << stated.error().to_string() << "\n\n" << path << " lies.\n";
+    std::cout << "  LIE    " << stated.error().to_string() << "\n" << words_of_lies(path, 1);
   } else {
     for (const std::string& wish : broken) std::cout << "  MISSED " << wish << "\n";
     std::cout
@@ -855,8 +855,7 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
   for (const std::string& taken : report.taken) std::cout << "  taken  " << taken << "\n";
   std::cout << (lies.empty()
                     ? fmt::format("\n{} tells the truth: {}.\n", path, scope_of(app.one_at_a_time))
-                    : fmt::format("\n{} lies: {} of its statements {} false.\n", path, lies.size(),
-                                  lies.size() == 1 ? "is" : "are"))
+                    : words_of_lies(path, lies.size()))
             << words_of_missed(missed);
   return status;
 }

@@ -310,8 +310,7 @@ Result<int> check_tables(const AppSpec& app, const Platform& platform, const std
   for (const std::string& taken : v.taken) std::cout << "  taken  " << taken << "\n";
   std::cout << (v.truthful() ? fmt::format("\n{} tells the truth; its worst regret is {:.3f}.\n",
                                            path, v.worst_regret)
-                             : fmt::format("\n{} lies: {} of its statements are false.\n", path,
-                                           v.lies.size()))
+                             : words_of_lies(path, v.lies.size()))
             << words_of_missed(missed);
   return status;
 }

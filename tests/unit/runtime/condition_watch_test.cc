@@ -119,7 +119,7 @@ TEST(Conditions, TheLeastScenarioThatHoldsElseTheOneThatCoversMost) {
   EXPECT_TRUE(at("fast").outside.empty());
 }
 
-/// At full clock all hold. Worst cases of version 1, in which what is lost makes the slowest scenario's the
+/// At full clock all hold. Worst cases of one release, in which what is lost makes the slowest scenario's the
 /// shortest; and of tables of keys, which have one for all that they serve.
 TEST(Conditions, NothingIsLostAtFullClockAndMostOutside) {
   for (const std::vector<std::int64_t>& worst :

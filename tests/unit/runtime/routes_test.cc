@@ -135,7 +135,7 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   EXPECT_EQ(r.urgent_us.exact(), std::vector<std::int64_t>{90}) << "the release that was urgent";
 }
 
-/// Of an app of version 2: sources and XNodes every 100 us, and Log samples what Fuse makes.
+/// Of an app of rates: sources and XNodes every 100 us, and Log samples what Fuse makes.
 Result<Routes> log_samples(std::vector<ChainSpec> chains) {
   Graph graph = make_graph(false);
   graph.sources = {{"lidar", {100}}, {"camera", {100}}};
@@ -182,7 +182,7 @@ TEST(Routes, InAnAppOfOneRateWhatDidNotEndIsMissed) {
   EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 1u);
 }
 
-/// An app of version 2 by hand: the lidar's period is 100 us, and "c" leads to Fuse, of its own component.
+/// An app of two rates by hand: the lidar's period is 100 us, and "c" leads to Fuse, of its own component.
 struct ByKeys {
   explicit ByKeys(std::int64_t period_us = 100) {
     Graph graph = make_graph(false);

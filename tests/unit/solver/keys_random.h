@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tiny random apps of version 2: few microseconds each, so that ties and tight windows are common.
+// Tiny random apps of several rates: few microseconds each, so that ties and tight windows are common.
 #pragma once
 
 #include <algorithm>

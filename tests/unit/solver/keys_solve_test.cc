@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What solve() claims of apps of version 2, against a naive simulator (keys_naive.h).
+// What solve() claims of apps of several rates, against a naive simulator (keys_naive.h).
 #include <gtest/gtest.h>
 
 #include "solver/keys/check.h"
