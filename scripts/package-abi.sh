@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Compares libxauto's ABI (its symbols, and the layout of the types in include/xauto/ that they use) with the committed reference,
-# packaging/abi/libxauto.so.1.ARCH.abi. Red on a change that breaks programs already built; docs/packages.md says what to do then.
+# packaging/abi/libxauto.so.1.ARCH.abi. Red on a change that breaks programs already built; CONTRIBUTING.md says what to do then.
 # usage: package-abi.sh OUT                         compares; OUT gets what was compared
 #        package-abi.sh OUT SOURCE_TREE FILE...     ... with FILEs of another tree; OUT holds the objects of the others
 #        package-abi.sh --update                    writes the reference anew
@@ -53,8 +53,8 @@ abidiff --no-corpus-path "$reference" "$out/libxauto.abi" >"$out/diff.txt" 2>&1 
 [ $status -eq 0 ] && exit 0
 head -n 60 "$out/diff.txt"
 if abidiff --no-corpus-path --no-added-syms "$reference" "$out/libxauto.abi" >/dev/null 2>&1; then
-  echo "package-abi: only additions: write the reference anew with scripts/package-abi.sh --update (docs/packages.md, Versions)"
+  echo "package-abi: only additions: write the reference anew with scripts/package-abi.sh --update (CONTRIBUTING.md, Versions)"
 else
-  echo "package-abi: programs built before break: a new soname, or leave the ABI as it was (docs/packages.md, Versions)"
+  echo "package-abi: programs built before break: a new soname, or leave the ABI as it was (CONTRIBUTING.md, Versions)"
 fi
 exit 1

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The emulators behave as nvgpu's and nvdla's source says (docs/kernel.md, "The drivers"), also where
+// The emulators behave as nvgpu's and nvdla's source says (kmod/README.md, "The drivers"), also where
 // that is not what one would like. xauto.ko has no part in this.
 #include <chrono>
 #include <thread>
