@@ -45,7 +45,7 @@ using xauto::XPU;
 constexpr std::uint64_t kShown[] = {3, 12, 25};
 
 /// A net of one job: what the command line calls it, its file, the side of its square input, and how
-/// much it found of what the largest one did (docs/perception.md).
+/// much it found of what the largest one did (examples/perception/README.md).
 struct Net {
   const char* name;
   const char* file;
