@@ -13,7 +13,7 @@ namespace xauto::solver {
 namespace {
 
 // None is tuned: each was chosen with the first tabu search. Measured is only the search as a
-// whole (docs/solver.md).
+// whole (docs/results/solver.txt).
 
 constexpr std::size_t kPool = 12;           ///< schedules that a new beginning may lie between
 constexpr std::int64_t kPatience = 12'000;  ///< moves without a better schedule

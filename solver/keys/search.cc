@@ -14,8 +14,8 @@ namespace {
 // ---- constants of the search --------------------------------------------------------------------
 // Where nothing more is said, a value is not tuned: it was chosen when the search, or the move, was
 // written, and stayed. Measured is only the search as a whole, on the 55 cases of bench/keys
-// ("tuned on", docs/keys.md). No measurement of single values and their neighbours is kept.
-// `bench_keys` shows what a change does.
+// ("tuned on", docs/results/keys.txt). No measurement of single values and their neighbours is
+// kept. `bench_keys` shows what a change does.
 
 /// Of `figures`, before there is a candidate: more than any costs.
 constexpr double kNoCandidate = 1e18;
