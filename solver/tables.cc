@@ -12,6 +12,8 @@
 #include "base/index.h"
 #include "solver/certify.h"
 #include "solver/keys/key_tables.h"
+#include "solver/keys/one_release.h"
+#include "solver/keys/sequence.h"
 #include "solver/least_loss.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
@@ -95,7 +97,8 @@ class TablesSearch {
     lossy.problems.reserve(scenarios_.size());
     for (const Scenario& scenario : scenarios_) {
       const Platform left = platform_under(platform_, scenario);
-      XAUTO_ASSIGN(Problem problem, Problem::create(app_under(app_, scenario, loss), platform_));
+      XAUTO_ASSIGN(Problem problem,
+                   Problem::create(release_of(app_under(app_, scenario), loss), platform_));
       problem.forbidden.assign(at(problem.num_xnodes) * at(problem.num_xpus), 0);
       for (std::size_t x = 0; x < platform_.xpus.size(); ++x)
         if (left.find(platform_.xpus[x].id) < 0)
@@ -153,14 +156,14 @@ class TablesSearch {
         const bool told = options_.stop != nullptr && options_.stop->load();
         if (decided || told) stop.store(true);
       };
-    return solve(app_under(app_, scenarios_[s], loss), platform_under(platform_, scenarios_[s]),
-                 solving);
+    return solve(release_of(app_under(app_, scenarios_[s]), loss),
+                 platform_under(platform_, scenarios_[s]), solving);
   }
 
   /// The least that was found with which the app keeps what a release has time for; all that it may
   /// lose, where it does not even so.
   [[nodiscard]] Loss least_loss_under(std::size_t s, double seconds) const {
-    const Time limit = *time_for_a_release(app_);
+    const Time limit = *app_.chains.front().deadline_us;  // all have the same
     const double until_s = run_.elapsed() + seconds;
     const auto suffices = [&](const Loss& loss) {
       const auto policy = solve_under(
@@ -446,58 +449,82 @@ class TablesSearch {
     std::sort(used.begin(), used.end());
     used.erase(std::unique(used.begin(), used.end()), used.end());
     // In the order of the scenarios that they serve first.
-    std::vector<int> number(candidates_.size(), -1);
+    std::vector<int> number(candidates_.size(), -1), chosen;
     for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       const std::size_t c = at(choice.serves[s]);
-      const TableCandidate& candidate = candidates_[c];
       if (number[c] < 0) {
-        number[c] = static_cast<int>(tables.tables.size());
-        tables.tables.push_back(table_of(candidate, number[c], s));
+        number[c] = static_cast<int>(chosen.size());
+        chosen.push_back(static_cast<int>(c));
       }
-      OrderedEvaluator evaluator(problem(candidate, s));
-      evaluator.reset(candidate.xpu, candidate.sequence);
-      tables.serves.push_back({number[c], evaluator.makespan(), bound_[s]});
+      tables.serves.push_back({number[c]});
+      tables.serves.back().lower_bound_us = bound_[s];
     }
-    add_changes(choice, tables);
+    tables.tables.resize(chosen.size());
+    for (std::size_t t = 0; t < chosen.size(); ++t)
+      XAUTO_TRY(put(candidates_[at(chosen[t])], t, tables));
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) set_bounds(s, tables.serves[s]);
+    keys::set_scenario_claims(tables, app_, platform_);
+    for (int from = 0; from < static_cast<int>(chosen.size()); ++from)
+      for (int to = 0; to < static_cast<int>(chosen.size()); ++to)
+        if (from != to)
+          tables.handovers.push_back(keys::release_across(tables, from, to, app_, platform_));
     tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
     return tables;
   }
 
-  /// Of the whole app; the order is that of any scenario that it serves.
-  [[nodiscard]] Table table_of(const TableCandidate& plan, int number, std::size_t serves) const {
+  /// Table `t` in the candidate's sequence: its keys at its envelope, and what they claim. The order pairs are those of
+  /// any scenario. `tables` says whom it serves.
+  Status put(const TableCandidate& plan, std::size_t t, Tables& tables) const {
     const Lossy& lossy = lossy_[at(plan.loss)];
-    const Solution solution{plan.xpu, plan.sequence, 0, true, {}};
-    const std::vector<std::int64_t> priority = to_decision(solution).priority;
-    Table table;
+    Table& table = tables.tables[t];
     table.loss = lossy.loss;
-    table.name = name_of_table(at(number), table.loss, app_);
-    table.xpu.assign(app_.xnodes.size(), -1);
-    table.priority.assign(app_.xnodes.size(), 0);
-    for (std::size_t i = 0; i < lossy.kept.size(); ++i) {
-      table.xpu[at(lossy.kept[i])] = plan.xpu[i];
-      table.priority[at(lossy.kept[i])] = priority[i];
-    }
-    for (const auto& [u, v] : order_pairs(lossy.problems[serves], solution))
-      table.order.emplace_back(lossy.kept[at(u)], lossy.kept[at(v)]);
-    return table;
+    table.name = name_of_table(t, table.loss, app_);
+    const Scenario all = envelope(tables, t, app_);
+    const AppSpec left = app_under(app_, all, table.loss);
+    const Platform on = platform_with(platform_under(platform_, all), table.loss.off);
+    Policy keys;
+    for (const XNodeSpec& x : app_.xnodes) keys.placements.push_back({on.find(off_xpu(x.module))});
+    const auto id = [&](std::size_t i) { return platform_.xpus[at(plan.xpu[i])].id; };
+    for (std::size_t i = 0; i < lossy.kept.size(); ++i)
+      keys.placements[at(lossy.kept[i])].xpu = on.find(id(i));
+    const Solution solution{plan.xpu, plan.sequence, 0, true, {}};
+    for (const auto& [u, v] : order_pairs(lossy.problems.front(), solution))
+      keys.order.emplace_back(lossy.kept[at(u)], lossy.kept[at(v)]);
+    std::vector<int> sequence;
+    for (const int i : plan.sequence) sequence.push_back(lossy.kept[at(i)]);
+    for (const int i : app_.topological_order())  // what is off waits for others, and nobody for it
+      if (table.loss.is_off(app_.xnodes[at(i)].module)) sequence.push_back(i);
+    XAUTO_ASSIGN(const keys::Problem p, keys::Problem::create(left, on, {}, keys.order));
+    keys::set_sequence_keys(p, sequence, keys);
+    for (const ChainSpec& chain : app_.chains) keys.chains.push_back({chain.name, kNotThere});
+    for (const int c : kept_chains(app_, table.loss))
+      keys.chains[at(c)].worst_case_us = keys.placements[at(app_.chains[at(c)].to)].key_us.front();
+    for (std::size_t i = 0; i < keys.placements.size(); ++i)
+      keys.placements[i].xpu = table.loss.is_off(app_.xnodes[i].module)
+                                   ? -1
+                                   : platform_.find(on.xpus[at(keys.placements[i].xpu)].id);
+    table.keys = std::move(keys);
+    for (Served& served : tables.serves)
+      if (served.table == static_cast<int>(t))
+        for (const ChainClaim& claim : table.keys.chains)
+          served.chain_worst_us.push_back(claim.worst_case_us);
+    return {};
   }
 
-  void add_changes(const TableChoice& choice, Tables& tables) const {
-    for (std::size_t s = 0; s < scenarios_.size(); ++s)
-      for (std::size_t t = 0; t < scenarios_.size(); ++t) {
-        if (s == t) continue;
-        Change change{static_cast<int>(s), static_cast<int>(t), {}};
-        const TableCandidate& plan = candidates_[at(choice.serves[s])];
-        if (runs(plan, t)) {
-          Problem both = problem(plan, s);
-          for (std::size_t w = 0; w < both.wcet_flat.size(); ++w)
-            both.wcet_flat[w] = std::max(both.wcet_flat[w], problem(plan, t).wcet_flat[w]);
-          OrderedEvaluator evaluator(both);
-          evaluator.reset(plan.xpu, plan.sequence);
-          change.worst_case_us = evaluator.makespan();
-        }
-        tables.changes.push_back(change);
-      }
+  /// Of each chain alone; of the only one what is proven of the release.
+  void set_bounds(std::size_t s, Served& served) const {
+    const Loss& loss = lossy_[at(lossy_of_[s])].loss;
+    const AppSpec left = app_under(app_, scenarios_[s], loss);
+    const Platform on = platform_with(platform_under(platform_, scenarios_[s]), loss.off);
+    served.chain_bound_us.assign(app_.chains.size(), kNotThere);
+    const std::vector<int> there = kept_chains(app_, loss);
+    const auto p = keys::Problem::create(left, on);
+    for (const int c : there) {
+      std::int64_t& bound = served.chain_bound_us[at(c)];
+      bound = there.size() == 1 ? served.lower_bound_us : 0;
+      if (!p || there.size() == 1) continue;
+      bound = keys::quick_release_bound(left, on, *p, app_.chains[at(c)].to, {}, {}) / p->scale;
+    }
   }
 
   const AppSpec& app_;
@@ -514,6 +541,20 @@ class TablesSearch {
   std::set<std::tuple<int, std::vector<int>, std::vector<int>>> known_;
 };
 
+/// Releases are alone, and how long one takes says all: every end is that of a chain, also where optional modules are
+/// off; all deadlines are the same; and messages take no time, which OrderedEvaluator does not know of.
+bool is_one_length(const AppSpec& app) {
+  if (!app.one_at_a_time || app.chains.empty()) return false;
+  std::vector<char> ends = ends_of(app);
+  for (const ChainSpec& chain : app.chains) ends[at(chain.to)] = 0;
+  return std::ranges::all_of(ends, [](char end) { return end == 0; }) &&
+         std::ranges::all_of(app.chains,
+                             [&](const ChainSpec& chain) {
+                               return chain.deadline_us == app.chains.front().deadline_us;
+                             }) &&
+         std::ranges::all_of(app.transfers, [](const auto& t) { return t.transfer_us == 0; });
+}
+
 }  // namespace
 
 Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
@@ -521,14 +562,13 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
   XAUTO_TRY(validate(scenarios, app, platform));
-  if (!app.one_at_a_time) return keys::solve_key_tables(app, platform, scenarios, options);
-  XAUTO_TRY(may_have_priorities(app));
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
-    if (scenarios.list[s].degraded && !time_for_a_release(app))
+    if (scenarios.list[s].degraded && !app.has_deadlines())
       return fail(ErrorCode::kInvalid,
-                  "the app states no deadline: nothing says for what it would lose anything",
+                  "no chain has a deadline: nothing says for what the app would lose anything",
                   "/scenarios/" + std::to_string(s) + "/degraded",
-                  "give app.json deadline_us, or leave degraded out");
+                  "give chains of app.json deadline_us, or leave degraded out");
+  if (!is_one_length(app)) return keys::solve_key_tables(app, platform, scenarios, options);
   return TablesSearch(app, platform, scenarios, options).run();
 }
 

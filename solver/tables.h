@@ -19,8 +19,8 @@
 // has, the app loses the least with which one was (least_loss.h); where all that it may lose does not
 // suffice, all of that. Bound and regret are then those of what is left.
 //
-// A release during which the scenario changes keeps its table, and each of its jobs takes at most the
-// larger of its two WCETs. So its worst case is the longest path of the table at those.
+// So it is where an app releases one at a time, and a release's length says all. The answer is tables of keys, each the
+// end of the longest way at its envelope (keys/sequence.h). Of all other apps it is keys/key_tables.h.
 #pragma once
 
 #include <atomic>
@@ -49,7 +49,7 @@ struct TablesOptions {
 };
 
 /// Errors: kInvalid where neither tables nor regret is asked for, or where a
-/// scenario is degraded and nothing says how long a release may take;
+/// scenario is degraded and no chain has a deadline;
 /// kInfeasible if no set of `tables` tables serves all scenarios (each has lost other XPUs, or
 /// loses other things), or if nothing within `regret` was found.
 [[nodiscard]] Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the searches for tables of both versions have in common: their limits, and how they use threads.
+// What both searches for tables have in common: their limits, and how they use threads.
 #pragma once
 
 #include <algorithm>

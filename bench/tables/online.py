@@ -291,12 +291,11 @@ def guest_switches(case, options):
         raise RuntimeError(f"in the guest: status {done.returncode}\n{done.stdout[-500:]}{done.stderr[-500:]}")
     report = json.loads(done.stdout)["runs"][0]
     spanned = [s["spanned_us"] / s["worst_case_us"] for s in report["switches"] if s.get("worst_case_us") and (s["spanned_us"] or -1) >= 0]
-    any_release = [s["longest_us"] / s["worst_case_us"] for s in report["scenarios"] if s["releases"]]
     result = {"switches": report["num_switches"], "table_changes": tables_changed(report["switches"]), "releases": report["activations"],
               "lost": report["lost_activations"], "claimed": len(spanned), "longest": max(spanned, default=None),
-              "longest_of_all": max(any_release, default=None), "broken": report.get("worst_case_broken", [])}
+              "exceeded": report["worst_case_exceeded"], "broken": report.get("worst_case_broken", [])}
     print(f"  guest-switches  {result['switches']} ({result['table_changes']} to another table), {result['releases']} releases, {result['lost']} lost; "
-          f"of {len(spanned)} that met a change the longest took {result['longest']:.4f} of its worst case, of all {result['longest_of_all']:.4f}")
+          f"of {len(spanned)} that met a change the longest took {result['longest']:.4f} of its worst case; longer than claimed: {result['exceeded']}")
     return result
 
 

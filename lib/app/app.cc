@@ -181,8 +181,7 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   data->report.dead_daemons = keeper->who_died();
   data->app = spec.name;
   data->emulator_died = emulator_died;
-  data->emulates = held->session.emulates();
-  data->by_keys = held->session.keys.has_value();
+  data->one_at_a_time = held->session.app.one_at_a_time;
   if (!died.empty()) runtime::add_note(data->report.note, died);
   return RunReport(std::move(data));
 }

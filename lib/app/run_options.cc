@@ -281,7 +281,7 @@ std::string RunReport::json() const {
                {"modules", std::move(modules)},
                {"chains", std::move(chains)}};
   if (!r.scenarios.empty())
-    runtime::add_tables(r, runtime::table_claims_of(r, data_->emulates, data_->by_keys), json);
+    runtime::add_tables(r, runtime::table_claims_of(r, data_->one_at_a_time), json);
   return json.dump();
 }
 

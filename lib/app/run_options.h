@@ -31,8 +31,7 @@ struct RunReport::Data {
   runtime::RunReport report;
   std::string app;
   bool emulator_died = false;
-  bool emulates = false;  ///< some XPU of the run
-  bool by_keys = false;   ///< the run goes by keys
+  bool one_at_a_time = false;  ///< as the app's
 };
 
 }  // namespace xauto

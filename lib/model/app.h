@@ -175,7 +175,7 @@ inline constexpr std::int64_t kMaxInFlight = 1000;
 inline constexpr std::int64_t kMaxPpm = 100'000;  ///< a tenth: periods stay above 0
 inline constexpr std::int64_t kDefaultPpm = 100;  ///< of every clock but "main"
 inline constexpr const char* kMainClock = "main";
-/// As an end of a chain in app.json: every source, or every XNode without successors. No name of one.
+/// As an end of a chain in app.json: every source, or every XNode of ends_of() (loss.h). No name of one.
 inline constexpr const char* kEveryEnd = "*";
 
 /// Names unique and not empty, periods in [1, kMaxPeriodUs].

@@ -6,10 +6,6 @@
 
 namespace xauto {
 
-/// What tables of priorities claim bounds the end-to-end latency of ...
-inline constexpr const char* kWorstCaseScope =
-    "a release that meets no other, its sources in phase, every job within its WCET";
-
 /// What an emulated job and chain may take beside what was claimed: messages to the emulator, and
 /// the sleep that it measures by. Of a job kEmulatorUs on top.
 inline constexpr std::int64_t kEmulatorPct = 2, kEmulatorUs = 100;

@@ -77,7 +77,7 @@ std::int64_t drain_us(const Tables& tables, int from, int to, const AppSpec& app
   const Table& table = tables.tables[at(from)];
   if ((change != nullptr && change->claims_all()) || needs_lost(table, platform, q)) return 0;
   const Platform all = platform_of_all(tables, platform);
-  Policy keys = tables.keys[at(from)];
+  Policy keys = table.keys;
   const std::vector<int> xpu = xpus_on(all, table, app);
   for (std::size_t i = 0; i < xpu.size(); ++i) keys.placements[i].xpu = xpu[i];
   return drain_us(app_of_all_chains(app_under(app, across(app, p, q)), table.loss), all, keys,

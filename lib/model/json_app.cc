@@ -178,7 +178,7 @@ void read_edges(const Reader& root, const NameIndex& xnodes, AppSpec& app) {
   });
 }
 
-/// "*": every source, and every last XNode that hears of it. Such an entry has no name, and is of the chains that no
+/// "*": every source, and every XNode of ends_of() that hears of it. Such an entry has no name, and is of the chains that no
 /// other one says. Returns [chain] which line of the file says it.
 std::vector<std::size_t> read_chains(const Reader& root, const NameIndex& sources,
                                      const NameIndex& xnodes, AppSpec& app) {
@@ -224,9 +224,10 @@ std::vector<std::size_t> read_chains(const Reader& root, const NameIndex& source
       line_of.push_back(line);
     }
     if (!any && !possible.empty())  // of an app without chains validate() says why
-      at.refuse("stands for no chain of the app",
-                "\"*\" is every source, or every XNode without successors; a chain is between a "
-                "source and an XNode that hears of it");
+      at.refuse(
+          "stands for no chain of the app",
+          "\"*\" is every source, or every XNode that nobody hears of; a chain is between a source "
+          "and an XNode that hears of it");
   }
   return line_of;
 }

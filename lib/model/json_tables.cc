@@ -130,63 +130,66 @@ Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& tab
   return handover;
 }
 
-/// `keys`: what it says beyond where its XNodes are; null: it has priorities.
 Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
-                 const NameIndex& index, Policy* keys) {
+                 const NameIndex& index) {
   Table table;
-  if (keys != nullptr) keys->placements.resize(app.xnodes.size());
+  table.keys.placements.resize(app.xnodes.size());
   table.name = x["name"].text();
-  table.xpu.assign(app.xnodes.size(), -1);
-  table.priority.assign(app.xnodes.size(), 0);
   read_loss(x, app, index, table.loss);
   std::vector<char> placed_already(app.xnodes.size(), 0);
   x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
     const int found = read_name(placed["name"], index, "XNode", "the app");
     if (placed.failed()) return;
-    // What is off has keys all the same: the certificate counts with them.
-    const bool off =
-        keys != nullptr && table.loss.is_off(app.xnodes[static_cast<std::size_t>(found)].module);
-    if (off && placed.has("xpu"))
-      return placed["xpu"].refuse("the module of XNode '" +
-                                  app.xnodes[static_cast<std::size_t>(found)].name + "' is off");
-    const std::string id = off ? "" : placed["xpu"].text();
-    const std::int64_t priority =
-        keys != nullptr ? 0 : placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
-    Placement by_keys{platform.find(id)};
-    if (keys != nullptr) {
-      by_keys.key_us = read_series(placed, "key_us", true);
-      by_keys.hold_us = read_series(placed, "hold_us", false);
-    }
-    if (placed.failed()) return;
     const auto i = static_cast<std::size_t>(found);
+    // What is off has keys all the same: the certificate counts with them.
+    const bool off = table.loss.is_off(app.xnodes[i].module);
+    if (off && placed.has("xpu"))
+      return placed["xpu"].refuse("the module of XNode '" + app.xnodes[i].name + "' is off");
+    const std::string id = off ? "" : placed["xpu"].text();
+    Placement by_keys{platform.find(id)};
+    by_keys.key_us = read_series(placed, "key_us", true);
+    by_keys.hold_us = read_series(placed, "hold_us", false);
+    if (placed.failed()) return;
     if (std::exchange(placed_already[i], 1) != 0)
       return placed["name"].refuse("XNode '" + app.xnodes[i].name + "' is placed twice");
-    table.xpu[i] = platform.find(id);
-    table.priority[i] = priority;
-    if (table.xpu[i] < 0 && !off)
+    if (by_keys.xpu < 0 && !off)
       placed["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
-    if (keys != nullptr) keys->placements[i] = std::move(by_keys);
+    table.keys.placements[i] = std::move(by_keys);
   });
-  if (keys != nullptr) {
-    for (std::size_t i = 0; i < app.xnodes.size() && !x.failed(); ++i)
-      if (keys->placements[i].key_us.empty())
-        x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' " +
-                           (placed_already[i] == 0 ? "is not placed" : "has no key"));
-    for (const ChainSpec& chain : app.chains) keys->chains.push_back({chain.name, kNotThere});
-    std::vector<char> kept(app.chains.size(), 0);
-    for (const int k : kept_chains(app, table.loss)) kept[static_cast<std::size_t>(k)] = 1;
-    each_chain(
-        x, app,
-        [&](std::size_t k, const Reader& c) {
-          keys->chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
-          if (c.has("urgent_worst_case_us"))
-            keys->chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
-        },
-        std::move(kept));
-    return table;
-  }
-  if (x.has("order")) table.order = read_pairs(x["order"], index);
+  for (std::size_t i = 0; i < app.xnodes.size() && !x.failed(); ++i)
+    if (table.keys.placements[i].key_us.empty())
+      x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' " +
+                         (placed_already[i] == 0 ? "is not placed" : "has no key"));
+  for (const ChainSpec& chain : app.chains) table.keys.chains.push_back({chain.name, kNotThere});
+  std::vector<char> kept(app.chains.size(), 0);
+  for (const int k : kept_chains(app, table.loss)) kept[static_cast<std::size_t>(k)] = 1;
+  each_chain(
+      x, app,
+      [&](std::size_t k, const Reader& c) {
+        table.keys.chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
+        if (c.has("urgent_worst_case_us"))
+          table.keys.chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
+      },
+      std::move(kept));
+  if (x.has("order")) table.keys.order = read_pairs(x["order"], index);
   return table;
+}
+
+/// How scenario `s` is served. `t`: by which table.
+Served read_served(const Reader& x, const AppSpec& app, int t, const Table& table) {
+  Served served{t};
+  for (const ChainClaim& claim : table.keys.chains)
+    served.chain_worst_us.push_back(claim.worst_case_us);
+  served.chain_bound_us.assign(app.chains.size(), kNotThere);
+  if (x.has("lower_bound_us")) served.lower_bound_us = x["lower_bound_us"].time();
+  each_chain(
+      x, app,
+      [&](std::size_t k, const Reader& c) {
+        if (c.has("worst_case_us")) served.chain_worst_us[k] = c["worst_case_us"].time();
+        served.chain_bound_us[k] = c["lower_bound_us"].time();
+      },
+      chains_of(table.keys));
+  return served;
 }
 
 }  // namespace
@@ -212,7 +215,6 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
   root.expect("xauto.tables", kAppVersion, "solve again");
-  const bool by_keys = !app.one_at_a_time;
   XAUTO_TRY(context.status());
   Tables tables;
   tables.app = root["app"].text();
@@ -221,11 +223,9 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   tables.scenarios = read_scenarios(root);
   const NameIndex xnodes = index_by_name(app.xnodes);
   root["tables"].each_element(kMaxTables, [&](std::size_t, const Reader& x) {
-    Policy* const of_table = by_keys ? &tables.keys.emplace_back() : nullptr;
-    tables.tables.push_back(read_table(x, app, platform, xnodes, of_table));
+    tables.tables.push_back(read_table(x, app, platform, xnodes));
   });
   XAUTO_TRY(context.status());
-  set_priorities(tables);
 
   const NameIndex scenario_of = index_by_name(tables.scenarios),
                   table_of = index_by_name(tables.tables);
@@ -233,38 +233,17 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   root["serves"].each_element(kMaxScenarios, [&](std::size_t, const Reader& x) {
     const int s = read_name(x["scenario"], scenario_of, "scenario", "the file");
     const int t = read_name(x["table"], table_of, "table", "the file");
-    Served served{t};
-    if (!by_keys) {
-      served.worst_case_us = x["worst_case_us"].time();
-      served.lower_bound_us = x["lower_bound_us"].time();
-    } else {
-      served.chain_bound_us.assign(app.chains.size(), kNotThere);
-      if (t < 0) return;
-      each_chain(
-          x, app,
-          [&](std::size_t k, const Reader& c) {
-            served.chain_bound_us[k] = c["lower_bound_us"].time();
-          },
-          chains_of(tables.keys[static_cast<std::size_t>(t)]));
-    }
+    if (s < 0 || t < 0) return;
+    Served served = read_served(x, app, t, tables.tables[static_cast<std::size_t>(t)]);
     if (x.failed()) return;
     Served& of = tables.serves[static_cast<std::size_t>(s)];
     if (of.table >= 0) return x["scenario"].refuse("is served twice");
-    of = served;
+    of = std::move(served);
   });
-  if (by_keys) {
-    tables.notice_us = root["notice_us"].time();
-    if (root.has("handovers"))
-      root["handovers"].each_element(kMaxTables * kMaxTables, [&](std::size_t, const Reader& x) {
-        tables.handovers.push_back(read_handover(x, app, table_of));
-      });
-  } else if (root.has("changes"))
-    root["changes"].each_element(kMaxScenarios * kMaxScenarios, [&](std::size_t, const Reader& x) {
-      Change change{read_name(x["from"], scenario_of, "scenario", "the file"),
-                    read_name(x["to"], scenario_of, "scenario", "the file"),
-                    {}};
-      if (x.has("worst_case_us")) change.worst_case_us = x["worst_case_us"].time();
-      tables.changes.push_back(change);
+  tables.notice_us = root["notice_us"].time();
+  if (root.has("handovers"))
+    root["handovers"].each_element(kMaxTables * kMaxTables, [&](std::size_t, const Reader& x) {
+      tables.handovers.push_back(read_handover(x, app, table_of));
     });
   if (root.has("solve_ms")) tables.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
@@ -274,7 +253,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
                   "scenario '" + tables.scenarios[s].name + "' is served by no table",
                   std::string(origin) + ": /serves");
   XAUTO_TRY(in_file(validate(tables, app, platform), origin));
-  if (by_keys) set_figures(tables, app);
+  set_figures(tables, app);
   if (keys != nullptr) *keys = context.keys(document);
   return tables;
 }
@@ -322,7 +301,6 @@ ordered_json handover_to_json(const Handover& h, const Tables& tables, const App
 
 std::string to_json(const Tables& tables, const AppSpec& app, const Platform& platform) {
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
-  const bool by_keys = !tables.keys.empty();
   ordered_json document = {{"schema", "xauto.tables"},
                            {"version", kAppVersion},
                            {"app", tables.app},
@@ -330,23 +308,18 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
                            {"platform", tables.platform}};
   document["scenarios"] = scenarios_to_json(tables.scenarios);
   document["tables"] = ordered_json::array();
-  for (std::size_t k = 0; k < tables.tables.size(); ++k) {
-    const Table& t = tables.tables[k];
+  for (const Table& t : tables.tables) {
     ordered_json xnodes = ordered_json::array();
-    for (std::size_t i = 0; i < t.xpu.size(); ++i) {
-      if (t.xpu[i] < 0 && !by_keys) continue;
+    for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
       ordered_json placed = {{"name", app.xnodes[i].name}};
-      if (t.xpu[i] >= 0) placed["xpu"] = platform.xpus[static_cast<std::size_t>(t.xpu[i])].id;
-      if (by_keys)
-        put_keys(tables.keys[k].placements[i], placed);
-      else
-        placed["priority"] = t.priority[i];
+      if (t.xpu(i) >= 0) placed["xpu"] = platform.xpus[static_cast<std::size_t>(t.xpu(i))].id;
+      put_keys(t.keys.placements[i], placed);
       xnodes.push_back(std::move(placed));
     }
     ordered_json table = {{"name", t.name}};
     table["xnodes"] = std::move(xnodes);
-    if (by_keys) table["chains"] = claims_to_json(tables.keys[k].chains);
-    if (!t.order.empty()) table["order"] = pairs_to_json(t.order, name);
+    table["chains"] = claims_to_json(t.keys.chains);
+    if (!t.keys.order.empty()) table["order"] = pairs_to_json(t.keys.order, name);
     if (ordered_json variants = variants_to_json(t.loss, app); !variants.empty())
       table["variants"] = std::move(variants);
     if (!t.loss.off.empty()) table["off"] = t.loss.off;
@@ -355,31 +328,25 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
   document["serves"] = ordered_json::array();
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const Served& served = tables.serves[s];
-    ordered_json one = {{"scenario", tables.scenarios[s].name},
-                        {"table", tables.tables[static_cast<std::size_t>(served.table)].name}};
-    if (by_keys) {
-      one["chains"] = ordered_json::array();
-      for (std::size_t c = 0; c < app.chains.size(); ++c)
-        if (served.chain_bound_us[c] != kNotThere)
-          one["chains"].push_back(
-              {{"name", app.chains[c].name}, {"lower_bound_us", served.chain_bound_us[c]}});
-    } else {
-      one["worst_case_us"] = served.worst_case_us;
+    const Table& table = tables.tables[static_cast<std::size_t>(served.table)];
+    ordered_json one = {{"scenario", tables.scenarios[s].name}, {"table", table.name}};
+    if (served.lower_bound_us > bound_of_chains(served, app))
       one["lower_bound_us"] = served.lower_bound_us;
+    one["chains"] = ordered_json::array();
+    for (std::size_t c = 0; c < app.chains.size(); ++c) {
+      if (served.chain_bound_us[c] == kNotThere) continue;
+      ordered_json chain = {{"name", app.chains[c].name}};
+      if (served.chain_worst_us[c] < table.keys.chains[c].worst_case_us)
+        chain["worst_case_us"] = served.chain_worst_us[c];
+      chain["lower_bound_us"] = served.chain_bound_us[c];
+      one["chains"].push_back(std::move(chain));
     }
     document["serves"].push_back(std::move(one));
   }
-  if (by_keys) document["notice_us"] = tables.notice_us;
+  document["notice_us"] = tables.notice_us;
   if (!tables.handovers.empty()) document["handovers"] = ordered_json::array();
   for (const Handover& h : tables.handovers)
     document["handovers"].push_back(handover_to_json(h, tables, app));
-  if (!tables.changes.empty()) document["changes"] = ordered_json::array();
-  for (const Change& c : tables.changes) {
-    ordered_json change = {{"from", tables.scenarios[static_cast<std::size_t>(c.from)].name},
-                           {"to", tables.scenarios[static_cast<std::size_t>(c.to)].name}};
-    if (c.worst_case_us) change["worst_case_us"] = *c.worst_case_us;
-    document["changes"].push_back(std::move(change));
-  }
   document["solve_ms"] = tables.solve_ms;
   return json_document::to_text(document);
 }

@@ -98,7 +98,7 @@ Status validate(const Loss& loss, const AppSpec& app, const std::string& where) 
                          ", which waits for it, is not",
                      where + "/off");
   }
-  if (!app.one_at_a_time && !app.chains.empty() && kept_chains(app, loss).empty())
+  if (!app.chains.empty() && kept_chains(app, loss).empty())
     return invalid("leaves no chain without a module that is off", where + "/off");
   return {};
 }
@@ -161,6 +161,16 @@ std::string words_of(const Loss& loss, const AppSpec& app) {
     if (const int variant = loss.variant_of(at(i)); variant >= 0)
       add(app.xnodes[at(i)].name + " " + app.xnodes[at(i)].variants[at(variant)].name);
   return words;
+}
+
+std::vector<char> ends_of(const AppSpec& app) {
+  const auto optional = optional_modules(app);
+  std::vector<char> ends(app.xnodes.size(), 1);
+  for (const auto& [u, v] : app.edges) {
+    const std::string& to = app.xnodes[at(v)].module;
+    if (to == app.xnodes[at(u)].module || !optional.contains(to)) ends[at(u)] = 0;
+  }
+  return ends;
 }
 
 std::vector<int> kept(const AppSpec& app, const Loss& loss) {
@@ -258,14 +268,15 @@ void take_variant(XNodeSpec& x, int variant) {
 }  // namespace
 
 AppSpec app_with(const AppSpec& app, const Loss& loss) {
+  if (loss.none()) return app;
+  AppSpec left = app_of_all_chains(app, loss);
+  left.chains.clear();
+  for (const int c : kept_chains(app, loss)) left.chains.push_back(app.chains[at(c)]);
+  return left;
+}
+
+AppSpec release_of(const AppSpec& app, const Loss& loss) {
   AppSpec left = app;
-  if (!app.one_at_a_time) {
-    if (loss.none()) return left;
-    left = app_of_all_chains(app, loss);
-    left.chains.clear();
-    for (const int c : kept_chains(app, loss)) left.chains.push_back(app.chains[at(c)]);
-    return left;
-  }
   left.modules.clear();
   left.chains.clear();
   left.transfers.clear();

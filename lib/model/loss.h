@@ -56,20 +56,22 @@ struct Loss {
 /// "lane off, fcd.infer small"; "" for none.
 [[nodiscard]] std::string words_of(const Loss& loss, const AppSpec& app);
 
-/// XNodes whose module is not off: of an app that releases one at a time [XNode of app_with()].
+/// [xnode] that nobody hears by an edge, or nobody once some optional modules are off.
+[[nodiscard]] std::vector<char> ends_of(const AppSpec& app);
+/// XNodes whose module is not off: [XNode of release_of()].
 [[nodiscard]] std::vector<int> kept(const AppSpec& app, const Loss& loss);
-/// [chain of app_with()] of an app with rates: those on none of whose ways, by edges and samples, a module is
-/// off. A result that passes one that is off is old, or there is none.
+/// [chain of app_with()]: those on none of whose ways, by edges and samples, a module is off. A result that passes
+/// one that is off is old, or there is none.
 [[nodiscard]] std::vector<int> kept_chains(const AppSpec& app, const Loss& loss);
-/// What is left to schedule. Variants have taken the place of the XNodes' own implementations.
-/// Of an app that releases one at a time modules that are off are not in it: it is one release, as a plan knows it,
-/// without chains. With rates they are, so that components, and by
-/// them the releases of all others, stay what they are: an XNode that is off takes 1 us on an XPU that
-/// only its module has (platform_with). What is not off waits for none of these, so no other job is
-/// later by that.
+/// What is left to schedule. Variants have taken the place of the XNodes' own implementations. Modules that are off
+/// are in it, so that components, and by them the releases of all others, stay what they are: an XNode that is off
+/// takes 1 us on an XPU that only its module has (platform_with). What is not off waits for none of these, so no other
+/// job is later by that.
 [[nodiscard]] AppSpec app_with(const AppSpec& app, const Loss& loss);
-/// The same of an app with rates, with all chains, so that two tables with different losses have the same shape.
+/// The same with all chains, so that two tables with different losses have the same shape.
 [[nodiscard]] AppSpec app_of_all_chains(const AppSpec& app, const Loss& loss);
+/// One release of what is left, as a plan knows it: without what is off, chains and transfers.
+[[nodiscard]] AppSpec release_of(const AppSpec& app, const Loss& loss);
 /// That XPU's id, and its type.
 [[nodiscard]] std::string off_xpu(const std::string& module);
 /// With such an XPU for each of these modules; preempting it costs nothing.

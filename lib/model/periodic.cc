@@ -296,8 +296,7 @@ Status validate_chains(const AppSpec& app, const Components& components) {
 std::vector<ChainSpec> default_chains(const AppSpec& app) {
   const auto components = find_components(app);
   if (!components) return {};  // validate() says why
-  std::vector<char> last(app.xnodes.size(), 1);
-  for (const auto& [u, v] : app.edges) last[at(u)] = 0;
+  const std::vector<char> last = ends_of(app);
   Ways ways(app, *components);
   std::vector<ChainSpec> chains;
   std::set<std::string> names;

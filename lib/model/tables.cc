@@ -12,30 +12,20 @@
 namespace xauto {
 namespace {
 
-/// All (from, to) of `n`, each once and from != to, in this order.
-std::pair<int, int> pair_at(std::size_t k, std::size_t n) {
-  const std::size_t from = k / (n - 1), to = k % (n - 1);
-  return {static_cast<int>(from), static_cast<int>(to + (to >= from ? 1 : 0))};
-}
-template <class Pair>
-const Pair* find_pair(const std::vector<Pair>& pairs, std::size_t n, int from, int to) {
-  if (pairs.empty() || from == to) return nullptr;
-  return &pairs[(n - 1) * at(from) + at(to) - (to > from ? 1 : 0)];
-}
-
-/// `pairs` are none, or all of `named`, in that order. `what`: one of them, `all`: all of them.
-template <class Pair, class Named>
-Status validate_pairs(const std::vector<Pair>& pairs, const std::vector<Named>& named,
-                      const std::string& place, const char* all, const char* what) {
-  const std::size_t n = named.size();
-  if (!pairs.empty() && pairs.size() != n * (n - 1)) return fail(ErrorCode::kInvalid, all, place);
-  for (std::size_t k = 0; k < pairs.size(); ++k) {
-    const auto [from, to] = pair_at(k, n);
-    if (pairs[k].from != from || pairs[k].to != to)
+/// They are none, or all from one table to another, in that order.
+Status validate_pairs(const Tables& tables) {
+  const std::size_t n = tables.tables.size();
+  if (!tables.handovers.empty() && tables.handovers.size() != n * (n - 1))
+    return fail(ErrorCode::kInvalid, "are not all from one table to another, each once",
+                "/handovers");
+  for (std::size_t k = 0; k < tables.handovers.size(); ++k) {
+    const std::size_t from = k / (n - 1), rest = k % (n - 1), to = rest + (rest >= from ? 1 : 0);
+    const Handover& of = tables.handovers[k];
+    if (of.from != static_cast<int>(from) || of.to != static_cast<int>(to))
       return fail(ErrorCode::kInvalid,
-                  std::string("is not ") + what + " from '" + named[at(from)].name + "' to '" +
-                      named[at(to)].name + "', which comes here",
-                  place + "/" + std::to_string(k));
+                  "is not that from '" + tables.tables[from].name + "' to '" +
+                      tables.tables[to].name + "', which comes here",
+                  "/handovers/" + std::to_string(k));
   }
   return {};
 }
@@ -57,55 +47,8 @@ double Tables::worst_regret() const {
   return worst;
 }
 
-std::optional<std::int64_t> time_for_a_release(const AppSpec& app) {
-  std::optional<std::int64_t> least_us = app.deadline_us;
-  for (const ChainSpec& chain : app.chains)
-    if (chain.deadline_us) least_us = std::min(least_us.value_or(kMaxTimeUs), *chain.deadline_us);
-  return least_us;
-}
-
-Status may_have_priorities(const AppSpec& app) {
-  const char* hint = "give every source a rate: tables have keys then, which know of it";
-  for (const TransferSpec& transfer : app.transfers)
-    if (transfer.transfer_us > 0)
-      return fail(ErrorCode::kInvalid,
-                  "a message takes " + std::to_string(transfer.transfer_us) +
-                      " us from one XPU to another, and tables of priorities know of no transfers",
-                  app.name + "/edges", hint);
-  const auto differs = [&](const ChainSpec& chain) {
-    return chain.deadline_us != app.chains.front().deadline_us;
-  };
-  if (const auto other = std::find_if(app.chains.begin(), app.chains.end(), differs);
-      other != app.chains.end())
-    return fail(ErrorCode::kInvalid,
-                "chains '" + app.chains.front().name + "' and '" + other->name +
-                    "' have different deadlines, and tables of priorities know one, of a whole "
-                    "release",
-                app.name + "/chains", hint);
-  return {};
-}
-
 AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss) {
   return app_with(app_under(app, scenario), loss);
-}
-
-PriorityPlan policy_under(const Table& table, const AppSpec& app, const Platform& platform,
-                          const Scenario& scenario) {
-  const AppSpec left_app = app_under(app, scenario, table.loss);
-  const Platform left = platform_under(platform, scenario);
-  PriorityPlan policy;
-  policy.app = left_app.name;
-  policy.app_hash = left_app.hash();
-  policy.platform = left.name;
-  policy.method = "tables";
-  std::vector<int> now(table.xpu.size(), -1);
-  for (const int i : kept(app, table.loss)) {
-    now[at(i)] = static_cast<int>(policy.placements.size());
-    const std::string& id = platform.xpus[at(table.xpu[at(i)])].id;
-    policy.placements.push_back({left.find(id), table.priority[at(i)], 0, 0});
-  }
-  for (const auto& [u, v] : table.order) policy.order.emplace_back(now[at(u)], now[at(v)]);
-  return policy;
 }
 
 Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app) {
@@ -119,7 +62,7 @@ Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app) {
 
 Policy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
                   const Platform& platform, const Scenario& scenario) {
-  Policy policy = tables.keys[table];
+  Policy policy = tables.tables[table].keys;
   const Loss& loss = tables.tables[table].loss;
   const Platform left = platform_with(platform_under(platform, scenario), loss.off);
   policy.app = app.name;
@@ -142,44 +85,71 @@ Platform platform_of_all(const Tables& tables, const Platform& platform) {
 }
 
 std::vector<int> xpus_on(const Platform& platform_of_all, const Table& table, const AppSpec& app) {
-  std::vector<int> xpus = table.xpu;
-  for (std::size_t i = 0; i < xpus.size(); ++i)
-    if (xpus[i] < 0) xpus[i] = platform_of_all.find(off_xpu(app.xnodes[i].module));
+  std::vector<int> xpus;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    xpus.push_back(table.xpu(i) >= 0 ? table.xpu(i)
+                                     : platform_of_all.find(off_xpu(app.xnodes[i].module)));
   return xpus;
 }
 
-Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us) {
-  Objective objective;
-  for (std::size_t k = 0; k < app.chains.size(); ++k) {
-    if (us[k] == kNotThere) continue;
-    objective.sum_us += us[k];
-    if (!app.chains[k].deadline_us) continue;
-    const double late =
-        static_cast<double>(us[k]) / static_cast<double>(*app.chains[k].deadline_us);
-    if (objective.chain >= 0 && late <= objective.late) continue;
-    objective.late = late;
-    objective.chain = static_cast<int>(k);
-  }
-  return objective;
+namespace {
+
+/// What a chain's time is measured in; nullopt: others have a deadline, and it has none.
+std::optional<std::int64_t> unit_us(const AppSpec& app, std::size_t chain) {
+  return app.has_deadlines() ? app.chains[chain].deadline_us : 1;
 }
 
-const Change* change_of(const Tables& tables, int from, int to) {
-  return find_pair(tables.changes, tables.scenarios.size(), from, to);
+}  // namespace
+
+Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us) {
+  Objective largest, sum;
+  for (std::size_t k = 0; k < app.chains.size(); ++k) {
+    if (us[k] == kNotThere) continue;
+    sum.value += static_cast<double>(us[k]);
+    const auto unit = unit_us(app, k);
+    if (!unit) continue;
+    const double value = static_cast<double>(us[k]) / static_cast<double>(*unit);
+    if (largest.chain < 0 || value > largest.value) largest = {value, static_cast<int>(k)};
+  }
+  const bool sums = !app.has_deadlines() && !app.one_at_a_time;
+  return sums || largest.chain < 0 ? sum : largest;
+}
+
+std::int64_t objective_us(const AppSpec& app, double value, int chain) {
+  constexpr double kRounding = 1e-6;
+  const auto unit = chain < 0 ? 1 : unit_us(app, at(chain)).value_or(1);
+  return static_cast<std::int64_t>(value * static_cast<double>(unit) + kRounding);
+}
+
+std::int64_t bound_of_chains(const Served& served, const AppSpec& app) {
+  return objective_us(app, chain_objective(app, served.chain_bound_us).value,
+                      chain_objective(app, served.chain_worst_us).chain);
+}
+
+void set_figures(Tables& tables, const AppSpec& app) {
+  for (Served& served : tables.serves) {
+    const Objective of = chain_objective(app, served.chain_worst_us);
+    served.worst_case_us = objective_us(app, of.value, of.chain);
+    served.lower_bound_us = std::max(served.lower_bound_us, bound_of_chains(served, app));
+  }
 }
 
 const Handover* handover_of(const Tables& tables, int from, int to) {
-  return find_pair(tables.handovers, tables.tables.size(), from, to);
+  if (tables.handovers.empty() || from == to) return nullptr;
+  const std::size_t n = tables.tables.size();
+  return &tables.handovers[(n - 1) * at(from) + at(to) - (to > from ? 1 : 0)];
 }
 
 bool needs_lost(const Table& table, const Platform& platform, const Scenario& scenario) {
   const Platform left = platform_under(platform, scenario);
-  return std::any_of(table.xpu.begin(), table.xpu.end(),
-                     [&](int x) { return x >= 0 && left.find(platform.xpus[at(x)].id) < 0; });
+  return std::ranges::any_of(table.keys.placements, [&](const Placement& p) {
+    return p.xpu >= 0 && left.find(platform.xpus[at(p.xpu)].id) < 0;
+  });
 }
 
 bool both_have(const Tables& tables, int from, int to, std::size_t chain) {
-  return tables.keys[at(from)].chains[chain].worst_case_us != kNotThere &&
-         tables.keys[at(to)].chains[chain].worst_case_us != kNotThere;
+  return tables.tables[at(from)].keys.chains[chain].worst_case_us != kNotThere &&
+         tables.tables[at(to)].keys.chains[chain].worst_case_us != kNotThere;
 }
 
 bool Handover::claims_all() const {
@@ -196,10 +166,10 @@ std::vector<char> chains_of(const Policy& keys) {
 
 std::vector<std::int64_t> largest_claims(const Tables& tables) {
   std::vector<std::int64_t> largest;
-  for (const Policy& keys : tables.keys) {
-    largest.resize(keys.chains.size());
+  for (const Table& table : tables.tables) {
+    largest.resize(table.keys.chains.size());
     for (std::size_t c = 0; c < largest.size(); ++c)
-      largest[c] = std::max(largest[c], keys.chains[c].worst_case_us);
+      largest[c] = std::max(largest[c], table.keys.chains[c].worst_case_us);
   }
   for (const Handover& change : tables.handovers)
     for (std::size_t c = 0; c < largest.size(); ++c)
@@ -207,41 +177,20 @@ std::vector<std::int64_t> largest_claims(const Tables& tables) {
   return largest;
 }
 
-void set_priorities(Tables& tables) {
-  for (std::size_t t = 0; t < tables.keys.size(); ++t) {
-    const PriorityPlan by_keys = assignment_of(tables.keys[t]);
-    for (std::size_t i = 0; i < by_keys.placements.size(); ++i)
-      tables.tables[t].priority[i] = by_keys.placements[i].priority;
-  }
-}
-
-void set_figures(Tables& tables, const AppSpec& app) {
-  for (Served& served : tables.serves) {
-    std::vector<std::int64_t> worst;
-    for (const ChainClaim& claim : tables.keys[at(served.table)].chains)
-      worst.push_back(claim.worst_case_us);
-    const Objective of = chain_objective(app, worst),
-                    least = chain_objective(app, served.chain_bound_us);
-    served.worst_case_us = of.sum_us;
-    served.lower_bound_us = least.sum_us;
-    if (of.chain < 0) continue;
-    served.worst_case_us = worst[at(of.chain)];
-    served.lower_bound_us = static_cast<std::int64_t>(
-        least.late * static_cast<double>(*app.chains[at(of.chain)].deadline_us));
-  }
-}
-
 PriorityPlan whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
                           const Platform& platform) {
-  Table whole = tables.tables[table];
+  Policy whole = tables.tables[table].keys;
   const Table& first = tables.tables[at(tables.serves.front().table)];
-  for (std::size_t i = 0; i < whole.xpu.size(); ++i) {
-    if (whole.xpu[i] >= 0) continue;
-    whole.xpu[i] = first.xpu[i];
-    whole.priority[i] = first.priority[i];
-  }
-  whole.loss = {};
-  return policy_under(whole, app, platform, {});
+  for (std::size_t i = 0; i < whole.placements.size(); ++i)
+    if (whole.placements[i].xpu < 0) whole.placements[i].xpu = first.xpu(i);
+  std::erase_if(whole.order, [&](const std::pair<int, int>& pair) {
+    return tables.tables[table].xpu(at(pair.first)) < 0;
+  });
+  whole.app = app.name;
+  whole.app_hash = app.hash();
+  whole.platform = platform.name;
+  whole.method = "tables";
+  return assignment_of(whole);
 }
 
 namespace {
@@ -250,8 +199,8 @@ namespace {
 std::set<std::tuple<std::size_t, int, int>> made_by(const Tables& tables) {
   std::set<std::tuple<std::size_t, int, int>> made;
   for (const Table& table : tables.tables)
-    for (std::size_t i = 0; i < table.xpu.size(); ++i)
-      if (table.xpu[i] >= 0) made.emplace(i, table.loss.variant_of(i), table.xpu[i]);
+    for (std::size_t i = 0; i < table.keys.placements.size(); ++i)
+      if (table.xpu(i) >= 0) made.emplace(i, table.loss.variant_of(i), table.xpu(i));
   return made;
 }
 
@@ -278,42 +227,27 @@ InstanceMemory memory_of_instances(const Tables& tables, const AppSpec& app,
 
 std::size_t moves(const Table& a, const Table& b) {
   std::size_t count = 0;
-  for (std::size_t i = 0; i < a.xpu.size(); ++i)
-    if (a.xpu[i] >= 0 && b.xpu[i] >= 0 &&
-        (a.xpu[i] != b.xpu[i] || a.loss.variant_of(i) != b.loss.variant_of(i)))
+  for (std::size_t i = 0; i < a.keys.placements.size(); ++i)
+    if (a.xpu(i) >= 0 && b.xpu(i) >= 0 &&
+        (a.xpu(i) != b.xpu(i) || a.loss.variant_of(i) != b.loss.variant_of(i)))
       ++count;
   return count;
 }
 
 namespace {
 
-/// Every XNode that is not off has a place, in itself and beside the others.
-Status validate(const Table& table, const AppSpec& app, const Platform& platform,
-                const std::string& where) {
-  if (table.xpu.size() != app.xnodes.size() || table.priority.size() != app.xnodes.size())
+/// Every XNode that is not off has a place.
+Status validate(const Table& table, const AppSpec& app, const std::string& where) {
+  if (table.keys.placements.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "does not place every XNode", where + "/xnodes");
   XAUTO_TRY(validate(table.loss, app, where));
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
     const bool off = table.loss.is_off(app.xnodes[i].module);
-    if (off == (table.xpu[i] < 0)) continue;
+    if (off == (table.xpu(i) < 0)) continue;
     return fail(ErrorCode::kInvalid,
                 "XNode '" + app.xnodes[i].name + "' is " +
                     (off ? "placed, and its module is off" : "not placed"),
                 where + "/xnodes");
-  }
-  for (const auto& [u, v] : table.order)
-    for (const int i : {u, v})
-      if (table.xpu[at(i)] < 0)
-        return fail(ErrorCode::kInvalid,
-                    "names XNode '" + app.xnodes[at(i)].name + "', whose module is off",
-                    where + "/order");
-  if (!app.one_at_a_time) return {};  // its keys say more (validate_keys)
-  if (Status valid =
-          validate(policy_under(table, app, platform, {}), app_with(app, table.loss), platform);
-      !valid) {
-    Error error = std::move(valid).error();
-    error.where = where + error.where;
-    return tl::unexpected<Error>(std::move(error));
   }
   return {};
 }
@@ -326,24 +260,25 @@ bool are_of_chains(const std::vector<std::int64_t>& us, const std::vector<char>&
   return true;
 }
 
-/// Of tables of keys: what the file says beyond placements.
+/// Keys and claims of each table, at its envelope.
 Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& platform) {
-  const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
-  if (tables.keys.size() != tables.tables.size())
-    return fail(ErrorCode::kInvalid, "not every table has keys", "/tables");
   for (std::size_t t = 0; t < tables.tables.size(); ++t) {
     const Scenario all = envelope(tables, t, app);
     const Loss& loss = tables.tables[t].loss;
+    if (!tables.tables[t].keys.order.empty() && !app.one_at_a_time)
+      return fail(ErrorCode::kInvalid,
+                  "is of an app whose sources have rates: what a change costs is not known with it",
+                  "/tables/" + std::to_string(t) + "/order");
     std::vector<std::int64_t> worst;
-    for (const ChainClaim& claim : tables.keys[t].chains) worst.push_back(claim.worst_case_us);
+    for (const ChainClaim& claim : tables.tables[t].keys.chains)
+      worst.push_back(claim.worst_case_us);
     std::vector<char> there(app.chains.size(), 0);
     for (const int c : kept_chains(app, loss)) there[at(c)] = 1;
-    if (tables.keys[t].placements.size() != app.xnodes.size() || !are_of_chains(worst, there))
-      return fail(
-          ErrorCode::kInvalid,
-          "does not place every XNode, or has no worst case for each chain without a module "
-          "that is off, and for these alone",
-          "/tables/" + std::to_string(t));
+    if (!are_of_chains(worst, there))
+      return fail(ErrorCode::kInvalid,
+                  "has no worst case for each chain without a module that is off, and for these "
+                  "alone",
+                  "/tables/" + std::to_string(t));
     if (Status valid =
             validate(keys_under(tables, t, app, platform, all), app_under(app, all, loss),
                      platform_with(platform_under(platform, all), loss.off));
@@ -353,17 +288,36 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
       return tl::unexpected<Error>(std::move(error));
     }
   }
+  return {};
+}
+
+/// What is claimed of scenarios, and of changes.
+Status validate_claims(const Tables& tables, const AppSpec& app) {
+  const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const std::string place = "/serves/" + std::to_string(s);
-    const std::vector<std::int64_t>& bounds = tables.serves[s].chain_bound_us;
-    if (!are_of_chains(bounds, chains_of(tables.keys[at(tables.serves[s].table)])))
+    const Served& served = tables.serves[s];
+    const Policy& keys = tables.tables[at(served.table)].keys;
+    const std::vector<char> there = chains_of(keys);
+    if (!are_of_chains(served.chain_bound_us, there) ||
+        !are_of_chains(served.chain_worst_us, there))
       return fail(ErrorCode::kInvalid,
-                  "has no lower bound for each chain of its table, or one too many",
+                  "has no worst case and lower bound for each chain of its table, or one too many",
                   place + "/chains");
+    if (!is_time(served.lower_bound_us))
+      return fail(ErrorCode::kInvalid, "is out of range", place + "/lower_bound_us");
+    for (std::size_t c = 0; c < app.chains.size(); ++c) {
+      const std::int64_t own = served.chain_worst_us[c], all = keys.chains[c].worst_case_us;
+      if (own > all || (own < all && !app.one_at_a_time))
+        return fail(ErrorCode::kInvalid,
+                    "chain '" + app.chains[c].name + "' takes " + std::to_string(own) +
+                        " us there, and " + std::to_string(all) + " in all that its table serves" +
+                        (own > all ? "" : ": by keys at a rate it is the same"),
+                    place + "/chains");
+    }
   }
   if (!is_time(tables.notice_us)) return fail(ErrorCode::kInvalid, "is out of range", "/notice_us");
-  XAUTO_TRY(validate_pairs(tables.handovers, tables.tables, "/handovers",
-                           "are not all from one table to another, each once", "that"));
+  XAUTO_TRY(validate_pairs(tables));
   for (std::size_t k = 0; k < tables.handovers.size(); ++k) {
     const Handover& h = tables.handovers[k];
     if (h.worst_case_us.size() != app.chains.size() || !is_time(h.settles_us) ||
@@ -387,11 +341,6 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
 }  // namespace
 
 Status validate(const Tables& tables, const AppSpec& app, const Platform& platform) {
-  if (tables.keys.empty() != app.one_at_a_time)
-    return fail(ErrorCode::kInvalid,
-                app.one_at_a_time ? "have keys, and no source has a rate" : "have no keys",
-                "/tables", "solve again");
-  if (app.one_at_a_time) XAUTO_TRY(may_have_priorities(app));
   if (tables.app != app.name)
     return fail(ErrorCode::kInvalid,
                 "are for app '" + tables.app + "', this is app '" + app.name + "'", "/app");
@@ -411,7 +360,7 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
     if (table.name.empty()) return fail(ErrorCode::kInvalid, "a table needs a name", at + "/name");
     if (!names.insert(table.name).second)
       return fail(ErrorCode::kInvalid, "two tables are called '" + table.name + "'", at + "/name");
-    XAUTO_TRY(validate(table, app, platform, at));
+    XAUTO_TRY(validate(table, app, at));
   }
   if (tables.serves.size() != tables.scenarios.size())
     return fail(ErrorCode::kInvalid, "does not serve every scenario", "/serves");
@@ -432,13 +381,9 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
                   "table '" + table.name + "' has an XNode on an XPU that scenario '" +
                       scenario.name + "' has lost",
                   at + "/table");
-    if (served.worst_case_us < 0 || served.worst_case_us > kMaxTimeUs ||
-        served.lower_bound_us < 0 || served.lower_bound_us > kMaxTimeUs)
-      return fail(ErrorCode::kInvalid, "a time is out of range", at);
   }
-  if (!tables.keys.empty()) return validate_keys(tables, app, platform);
-  return validate_pairs(tables.changes, tables.scenarios, "/changes",
-                        "are not all changes between two scenarios, each once", "the change");
+  XAUTO_TRY(validate_keys(tables, app, platform));
+  return validate_claims(tables, app);
 }
 
 }  // namespace xauto

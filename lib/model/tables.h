@@ -17,43 +17,36 @@
 
 namespace xauto {
 
-/// One policy without its times, which depend on the scenario.
-struct Table {
-  std::string name;
-  std::vector<int> xpu;  ///< [xnode] index into Platform::xpus; -1: its module is off
-  std::vector<std::int64_t>
-      priority;  ///< [xnode] as PriorityPlacement::priority; of keys: assignment_of()
-  std::vector<std::pair<int, int>> order;
-  Loss loss = {};  ///< none, unless all scenarios that it serves are degraded
-  bool operator==(const Table&) const = default;
-};
-
 /// Of a chain that the table does not have, since a module on its way is off (kept_chains).
 inline constexpr std::int64_t kNotThere = -1;
+
+/// Certified for its envelope: of each WCET the longest of the scenarios that it serves.
+struct Table {
+  std::string name;
+  /// Keys, holds and order, also of what is off (app_with); XPUs of the whole platform, -1: the XNode's module is
+  /// off. Each chain's worst case whichever of its scenarios is in force, and while one of them takes the place of
+  /// another; or kNotThere.
+  Policy keys;
+  Loss loss = {};  ///< none, unless all scenarios that it serves are degraded
+  [[nodiscard]] int xpu(std::size_t xnode) const { return keys.placements[xnode].xpu; }
+  bool operator==(const Table&) const = default;
+};
 
 /// How a scenario is served.
 struct Served {
   int table = -1;
-  std::int64_t worst_case_us = 0;   ///< of every execution within the scenario's WCETs
-  std::int64_t lower_bound_us = 0;  ///< proven: under this scenario no policy is shorter
-  /// [chain] of tables of keys: proven, as ChainClaim::lower_bound_us, of what the table's loss
-  /// leaves; kNotThere: the table does not have the chain. The two above follow from it
-  /// and from the table's chains: of the chain whose worst case is longest relative to its deadline,
-  /// and what that comes to in any policy; without deadlines the sums over all chains.
+  /// [chain] of every execution within the scenario's WCETs, or kNotThere. Where sources have rates it is the table's:
+  /// what runs by keys ends by them, however short its jobs are. Of an app that releases one at a time the keys say
+  /// who goes first on each XPU; the same sequence has earlier keys at shorter WCETs (sequence_keys).
+  std::vector<std::int64_t> chain_worst_us = {};
+  /// [chain] proven, as ChainClaim::lower_bound_us, of what the table's loss leaves; or kNotThere.
   std::vector<std::int64_t> chain_bound_us = {};
+  std::int64_t worst_case_us = 0;   ///< what chain_objective says of the worst cases
+  std::int64_t lower_bound_us = 0;  ///< proven: under this scenario no policy has less of that
   bool operator==(const Served&) const = default;
 };
 
-/// Of a release that is under way when scenario `to` takes the place of `from`: it keeps the table of
-/// `from` to its end.
-struct Change {
-  int from = -1, to = -1;  ///< scenarios
-  /// Of every execution within across(from, to); nullopt: it may need an XPU that is lost.
-  std::optional<std::int64_t> worst_case_us;
-  bool operator==(const Change&) const = default;
-};
-
-/// Of tables of keys: a run goes from one table to another without a pause, and each release keeps
+/// A run goes from one table to another without a pause, and each release keeps
 /// the one that it has. docs/keys.md, theorem 8.
 struct Handover {
   int from = -1, to = -1;  ///< tables
@@ -73,11 +66,7 @@ struct Tables {
   std::string app, app_hash, platform;
   std::vector<Scenario> scenarios;
   std::vector<Table> tables;
-  std::vector<Served> serves;   ///< [scenario]
-  std::vector<Change> changes;  ///< all (from, to) of different scenarios, in that order; or none
-  /// [table] keys and holds, also of what is off (app_with), and each chain's
-  /// worst case in every scenario that the table serves, or kNotThere. Empty: the app releases one at a time, and tables have priorities.
-  std::vector<Policy> keys = {};
+  std::vector<Served> serves;  ///< [scenario]
   std::vector<Handover> handovers =
       {};                      ///< all (from, to) of different tables, in that order; or none
   std::int64_t notice_us = 0;  ///< they count on it that a job that takes too long is known by then
@@ -102,19 +91,8 @@ enum class Why : std::uint8_t {
 
 inline constexpr std::size_t kMaxTables = 100;
 
-/// By when a release is to end: the least of its deadlines; nullopt: there is none.
-[[nodiscard]] std::optional<std::int64_t> time_for_a_release(const AppSpec& app);
-/// kInvalid: tables of priorities of this app would claim what is not so. They claim one time, of a whole release, in
-/// which nothing is transferred; and one deadline is held against it.
-[[nodiscard]] Status may_have_priorities(const AppSpec& app);
-
 /// What a table has to schedule under `scenario`, and on what: app_with() of app_under().
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss);
-/// A table as a policy of that app, without its times and claims: XPUs are indices into
-/// platform_under(). xpu -1: it uses an XPU that is lost.
-[[nodiscard]] PriorityPlan policy_under(const Table& table, const AppSpec& app,
-                                        const Platform& platform, const Scenario& scenario);
-
 /// What `table` is certified for: of each WCET the longest of the scenarios that it serves, and what any
 /// of them has lost.
 [[nodiscard]] Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app);
@@ -127,23 +105,23 @@ inline constexpr std::size_t kMaxTables = 100;
 [[nodiscard]] Platform platform_of_all(const Tables& tables, const Platform& platform);
 [[nodiscard]] std::vector<int> xpus_on(const Platform& platform_of_all, const Table& table,
                                        const AppSpec& app);
-/// Sets each table's priorities: those that come nearest to its keys (assignment_of).
-void set_priorities(Tables& tables);
-/// Sets what follows from the chains' figures: the two of each Served.
-void set_figures(Tables& tables, const AppSpec& app);
-/// The largest worst case relative to its deadline, 0 where none has one; and
-/// the sum. `us`: by chain.
+/// Of chains that take `us` what tables are compared by: the largest relative to its deadline; where no chain has
+/// one, the sum of all, or the largest of an app that releases one at a time.
 struct Objective {
-  double late = 0;
-  std::int64_t sum_us = 0;
-  int chain = -1;  ///< whose `late` is
+  double value = 0;  ///< parts of a deadline; microseconds
+  int chain = -1;    ///< whose it is; -1: it is the sum
 };
 [[nodiscard]] Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us);
+/// Microseconds: what `value` comes to for that chain; a sum is what it is.
+[[nodiscard]] std::int64_t objective_us(const AppSpec& app, double value, int chain);
+/// What the chains' own bounds come to.
+[[nodiscard]] std::int64_t bound_of_chains(const Served& served, const AppSpec& app);
+/// Sets what follows from the chains: Served::worst_case_us, and lower_bound_us unless more is proven.
+void set_figures(Tables& tables, const AppSpec& app);
 
-/// From scenario `from` to `to`; of keys, from table to table. Null: they are the same, or the file has none.
-[[nodiscard]] const Change* change_of(const Tables& tables, int from, int to);
+/// From table `from` to `to`. Null: they are the same, or the file has none.
 [[nodiscard]] const Handover* handover_of(const Tables& tables, int from, int to);
-/// [chain] whether a table, of these keys, has it.
+/// [chain] whether a table of these keys has it.
 [[nodiscard]] std::vector<char> chains_of(const Policy& keys);
 /// Whether table `from` and table `to` both have the chain.
 [[nodiscard]] bool both_have(const Tables& tables, int from, int to, std::size_t chain);
@@ -151,7 +129,7 @@ struct Objective {
 [[nodiscard]] bool needs_lost(const Table& table, const Platform& platform,
                               const Scenario& scenario);
 
-/// Tables of keys, [chain]: the largest worst case of all tables, and of those changes that claim one.
+/// [chain]: the largest worst case of all tables, and of those changes that claim one.
 [[nodiscard]] std::vector<std::int64_t> largest_claims(const Tables& tables);
 
 /// Table number `table` as a policy of the whole app, to be made at the start of a run. XNodes whose
@@ -171,8 +149,8 @@ struct InstanceMemory {
 /// XNodes that both tables have, and have elsewhere or as another variant.
 [[nodiscard]] std::size_t moves(const Table& a, const Table& b);
 
-/// Of this app (name and hash); every table a policy that validate() accepts, under each scenario
-/// that it serves too; losses that loss.h allows, in degraded scenarios alone.
+/// Of this app (name and hash); every table a policy that validate() accepts, at its envelope; losses that loss.h
+/// allows, in degraded scenarios alone.
 [[nodiscard]] Status validate(const Tables& tables, const AppSpec& app, const Platform& platform);
 
 }  // namespace xauto

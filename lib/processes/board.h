@@ -127,7 +127,7 @@ struct alignas(64) FlowLine {
   char name[kBoardNameBytes] = {};                 ///< [H] before the run
   std::uint32_t module = 0;                        ///< [H] where a chain ends
   /// [H] before the run: what the policy claims, and what is beyond that; 0: nothing. A bound from
-  /// below has a policy of keys only. With tables it is the scenario that claims (ScenarioLine).
+  /// below has a policy of keys only. With tables the largest of all; each release has its own.
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
   std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
   /// [H] before the run: what app.json and the deployment state; 0: nothing.
@@ -224,10 +224,7 @@ struct alignas(64) XNodeLine {
 /// A scenario of a run with tables.
 struct alignas(64) ScenarioLine {
   char name[kBoardNameBytes] = {}, table[kBoardNameBytes] = {};  ///< [H] before the run
-  std::int64_t worst_case_us = 0, allowed_us = 0;                ///< likewise; as FlowLine's
-  // [H], of releases that met no change of the scenario:
-  std::atomic<std::uint64_t> releases{}, over{};  ///< over: longer than allowed_us
-  std::atomic<std::int64_t> longest_us{-1};       ///< -1: there was none
+  std::atomic<std::uint64_t> releases{};                         ///< [H]
 };
 
 /// An XPU of the platform, by the jobs that ran there.

@@ -10,21 +10,22 @@ namespace xauto::runtime {
 ClaimedWcets::ClaimedWcets(const Session& session) : xnodes_(session.app.xnodes.size()) {
   const Tables& tables = *session.tables;
   const std::size_t jobs = tables.tables.size() * xnodes_;
-  ns_.assign(session.keys ? tables.tables.size() : tables.scenarios.size(),
+  const bool by_scenario = session.app.one_at_a_time;
+  ns_.assign(by_scenario ? tables.scenarios.size() : tables.tables.size(),
              std::vector<std::int64_t>(jobs));
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
-    row_of_.push_back(session.keys ? static_cast<std::size_t>(tables.serves[s].table) : s);
+    row_of_.push_back(by_scenario ? s : static_cast<std::size_t>(tables.serves[s].table));
     const AppSpec under = app_under(session.app, tables.scenarios[s]);
     std::vector<std::int64_t>& row = ns_[row_of_[s]];
     for (std::size_t t = 0; t < tables.tables.size(); ++t)
       for (std::size_t x = 0; x < xnodes_; ++x) {
         const Table& table = tables.tables[t];
-        if (table.xpu[x] < 0) continue;
+        if (table.xpu(x) < 0) continue;
         const std::string& type =
-            session.platform.xpus[static_cast<std::size_t>(table.xpu[x])].type;
+            session.platform.xpus[static_cast<std::size_t>(table.xpu(x))].type;
         if (const auto wcet_us = wcet_of(under.xnodes[x], table.loss.variant_of(x), type))
           row[at(t, x)] =
-              std::max(row[at(t, x)], watched_ns(*wcet_us, session.emulated(table.xpu[x])));
+              std::max(row[at(t, x)], watched_ns(*wcet_us, session.emulated(table.xpu(x))));
       }
   }
   least_ns_.resize(jobs);

@@ -30,11 +30,7 @@ struct Context {
   [[nodiscard]] bool scheduled() const { return session.scheduling == Scheduling::kXAuto; }
 };
 
-/// [table][module] of one run.
-using OfTables = std::vector<std::vector<char>>;
-/// Whether the table has the module off; without tables one row.
-[[nodiscard]] OfTables modules_off(const Session& session, const Graph& graph);
-/// Whether it is on and fires no other one that is: a release is over when all of these are through.
-[[nodiscard]] OfTables sinks(const OfTables& off, const Graph& graph);
+/// [module] whether it fires no other one: a release is over when all of these are through.
+[[nodiscard]] std::vector<char> sinks(const Graph& graph);
 
 }  // namespace xauto::runtime

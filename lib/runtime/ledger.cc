@@ -24,17 +24,13 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
     : context_(context),
       routes_(std::move(routes)),
       role_(role),
-      off_(modules_off(context.session, context.graph)),
-      sinks_(sinks(off_, context.graph)) {
-  for (const std::vector<char>& of_table : sinks_)
-    num_sinks_.push_back(static_cast<int>(std::count(of_table.begin(), of_table.end(), 1)));
+      sinks_(sinks(context.graph)),
+      num_sinks_(static_cast<int>(std::ranges::count(sinks_, 1))) {
   for (std::size_t m = 0; m < context.graph.modules.size(); ++m) {
     latencies_.push_back(std::make_unique<Latencies>());
-    const bool ends =
-        std::any_of(sinks_.begin(), sinks_.end(),
-                    [&](const std::vector<char>& of_table) { return of_table[m] != 0; });
-    ends_releases_.push_back(ends ? 1 : 0);
-    asked_for_.push_back(ends || routes_.end_at(context.graph.modules[m].nodes.back()) ? 1 : 0);
+    ends_releases_.push_back(sinks_[m]);
+    asked_for_.push_back(is_sink(m) || routes_.end_at(context.graph.modules[m].nodes.back()) ? 1
+                                                                                             : 0);
   }
   sink_next_.assign(context.graph.modules.size(), 0);
   released_.resize(context.graph.sources.size());
@@ -60,15 +56,14 @@ void Ledger::show_claims() {
     line.worst_case_us = worst_us;
     line.allowed_us = allowed_us(worst_us);
   };
-  if (session.tables_of_keys()) {
+  if (session.tables) {
     // Which claim a release is held against is told as it comes (Routes::claim).
     const std::vector<std::int64_t> largest_us = largest_claims(*session.tables);
     for (std::size_t i = 0; i < std::min(routes_.size(), largest_us.size()); ++i)
       context_.board.flow(i + 1).worst_case_us = largest_us[i];
     unproven_.assign(routes_.size(), 0);
-    const auto first = static_cast<std::size_t>(session.tables->serves.front().table);
-    routes_.claim(0, claimed_by(first), more_pct());
-    tell_chains(0, first);
+    routes_.claim(0, claimed_by(0), more_pct());
+    tell_chains(0, 0);
     return;
   }
   if (session.keys) {
@@ -82,7 +77,6 @@ void Ledger::show_claims() {
     }
     return;
   }
-  // With tables of priorities each scenario claims for itself (TableSwitch).
 }
 
 /// What a chain may take beside its claim.
@@ -94,38 +88,38 @@ std::int64_t Ledger::allowed_us(std::int64_t worst_us) const {
   return worst_us + worst_us * more_pct() / 100;
 }
 
-/// [chain] what the table claims of a release, once all changes before it are proven.
-std::vector<std::int64_t> Ledger::claimed_by(std::size_t table) const {
+/// [chain] what the scenario's table claims of a release under it, once all changes before it are proven.
+std::vector<std::int64_t> Ledger::claimed_by(std::size_t scenario) const {
   std::vector<std::int64_t> claimed(routes_.size(), 0);
-  const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
-  for (std::size_t i = 0; i < std::min(claimed.size(), claims.size()); ++i)
-    if (unproven_[i] == 0 && claims[i].worst_case_us != kNotThere)
-      claimed[i] = claims[i].worst_case_us;
+  const std::vector<std::int64_t>& worst_us =
+      context_.session.tables->serves[scenario].chain_worst_us;
+  for (std::size_t i = 0; i < std::min(claimed.size(), worst_us.size()); ++i)
+    if (unproven_[i] == 0 && worst_us[i] != kNotThere) claimed[i] = worst_us[i];
   return claimed;
 }
 
-/// Which chains the table has, where some table lacks one.
-void Ledger::tell_chains(std::int64_t from_ns, std::size_t table) {
-  const std::vector<Table>& tables = context_.session.tables->tables;
-  if (std::all_of(tables.begin(), tables.end(), [](const Table& t) { return t.loss.off.empty(); }))
-    return;
+/// Which chains the scenario's table has, where some table lacks one.
+void Ledger::tell_chains(std::int64_t from_ns, std::size_t scenario) {
+  const Tables& tables = *context_.session.tables;
+  if (std::ranges::all_of(tables.tables, [](const Table& t) { return t.loss.off.empty(); })) return;
   std::vector<char> there(routes_.size(), 1);
-  const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
-  for (std::size_t i = 0; i < std::min(there.size(), claims.size()); ++i)
-    there[i] = claims[i].worst_case_us == kNotThere ? 0 : 1;
+  const std::vector<std::int64_t>& worst_us = tables.serves[scenario].chain_worst_us;
+  for (std::size_t i = 0; i < std::min(there.size(), worst_us.size()); ++i)
+    there[i] = worst_us[i] == kNotThere ? 0 : 1;
   routes_.have(from_ns, std::move(there));
 }
 
-void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
-                            const Handover* change, const MetChange& met) {
+void Ledger::claim_change(std::int64_t from_ns, std::int64_t settled_ns, std::size_t scenario,
+                          const std::vector<std::optional<std::int64_t>>* across_us,
+                          const MetChange& met) {
   if (!role_.leads()) return;
   const Tables& tables = *context_.session.tables;
   std::vector<std::int64_t> across(routes_.size(), 0);
   for (std::size_t i = 0; i < across.size(); ++i) {
-    if (change == nullptr || i >= change->worst_case_us.size() || !change->worst_case_us[i])
+    if (across_us == nullptr || i >= across_us->size() || !(*across_us)[i])
       unproven_[i] = 1;  // nobody knows when its jobs are in time again
-    else if (unproven_[i] == 0 && *change->worst_case_us[i] != kNotThere)
-      across[i] = *change->worst_case_us[i];
+    else if (unproven_[i] == 0 && *(*across_us)[i] != kNotThere)
+      across[i] = *(*across_us)[i];
   }
   // What was released so long before may still be under way when a job begins to be too long.
   const std::vector<std::int64_t> largest_us = largest_claims(tables);
@@ -133,20 +127,19 @@ void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::
   const std::int64_t before_us = longest_us == largest_us.end() ? 0 : *longest_us;
   routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across), more_pct(),
                 met);
-  routes_.claim(settled_ns, claimed_by(table), more_pct());
-  tell_chains(from_ns, table);
+  routes_.claim(settled_ns, claimed_by(scenario), more_pct());
+  tell_chains(from_ns, scenario);
 }
 
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   context_.board.count_release();
-  const int sinks_left = num_sinks_[table_of(sequence)];
-  if (!context_.graph.single_rate || sinks_left == 0) return;
+  if (!context_.graph.single_rate || num_sinks_ == 0) return;
   const Guard lock(mutex_);
   if (sequence < num_released_) return;  // a source of another offset was there before
   num_released_ = sequence + 1;
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)
-    open_[sequence - open_base_] = {origin_ns, origin_ns, sinks_left, false};
+    open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
   if (in_flight_.fetch_add(1) > 0 && context_.grid.one_at_a_time)
     context_.board.header().overlapping.fetch_add(1, std::memory_order_relaxed);
 }
@@ -180,7 +173,6 @@ void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
 
 void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ModuleLine& counts = context_.board.module(module);
-  if (is_off(module, sequence)) reason = XAUTO_DROP_OFF;
   (reason == XAUTO_DROP_FAILED    ? counts.failed
    : reason == XAUTO_DROP_OFF     ? counts.off
    : reason == XAUTO_DROP_SKIPPED ? counts.skipped
@@ -232,7 +224,6 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
     const Guard lock(mutex_);
     std::uint64_t& next = sink_next_[static_cast<std::size_t>(module)];
     for (; next <= sequence && next < open_base_ + open_.size(); ++next) {
-      if (!is_sink(module, next)) continue;
       Open& open = open_[next - open_base_];
       if (!off || next < sequence) open.last_ns = std::max(open.last_ns, now);
       open.lost |= (lost && !off) || next < sequence;
@@ -377,15 +368,8 @@ std::string Ledger::what_did_not_end() const {
   return text.empty() ? "messages were under way for ten seconds" : text + " did not end";
 }
 
-std::optional<std::int64_t> Ledger::latency_us(std::uint64_t sequence) const {
-  const Guard lock(mutex_);
-  const auto at = std::find_if(releases_.rbegin(), releases_.rend(),
-                               [&](const ReleaseRecord& r) { return r.sequence == sequence; });
-  if (at == releases_.rend()) return std::nullopt;
-  return at->latency_us;
-}
-
 void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& into) {
+  routes_.judge();
   {
     const Guard lock(mutex_);
     into.releases.assign(releases_.begin(), releases_.end());

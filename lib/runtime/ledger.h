@@ -60,16 +60,17 @@ class Ledger {
   /// After that: of which modules how many, for people.
   [[nodiscard]] std::string what_did_not_end() const;
 
-  /// Of a release that is accounted for, one of the last kKeptReleases: -1: it was lost.
-  [[nodiscard]] std::optional<std::int64_t> latency_us(std::uint64_t sequence) const;
+  /// By tables: what is nominally released at `from_ns` or later has that of `scenario`. `across_us`: [chain] as
+  /// Handover::worst_case_us, what that may cost whoever meets it, until `settled_ns`. Where it claims nothing of a
+  /// chain (null: of any), nothing is claimed of that one any more. `met`: which change of the run it is. The
+  /// releasing thread.
+  void claim_change(std::int64_t from_ns, std::int64_t settled_ns, std::size_t scenario,
+                    const std::vector<std::optional<std::int64_t>>* across_us,
+                    const MetChange& met);
+  /// What has ended is held against what is claimed by now. The releasing thread; at the end that of the report.
+  void judge_claims() { routes_.judge(); }
 
-  /// By tables of keys: what is nominally released at `from_ns` or later has `table`. `change`: what that
-  /// may cost whoever meets it, until `settled_ns`. Where it claims nothing of a chain (null: of any),
-  /// nothing is claimed of that one any more. `met`: which change of the run it is. The releasing thread.
-  void claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
-                      const Handover* change, const MetChange& met);
-
-  /// Of tables of keys, what met their changes; see Routes.
+  /// What met changes of the scenario; see Routes.
   [[nodiscard]] std::vector<Routes::Met> met() const { return routes_.met(); }
 
   /// Adds counts, latencies and chains.
@@ -100,24 +101,15 @@ class Ledger {
   [[nodiscard]] std::uint64_t released_for(std::size_t module) const;
   [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
   [[nodiscard]] std::int64_t more_pct() const;
-  [[nodiscard]] std::vector<std::int64_t> claimed_by(std::size_t table) const;
-  void tell_chains(std::int64_t from_ns, std::size_t table);
+  [[nodiscard]] std::vector<std::int64_t> claimed_by(std::size_t scenario) const;
+  void tell_chains(std::int64_t from_ns, std::size_t scenario);
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost, bool off);
   /// Whether its results are told to who keeps the accounts.
   [[nodiscard]] bool asked_for(int module) const {
     return asked_for_[static_cast<std::size_t>(module)] != 0;
   }
   void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
-  /// Of the release's table.
-  [[nodiscard]] bool is_off(int module, std::uint64_t sequence) const {
-    return off_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
-  }
-  [[nodiscard]] bool is_sink(int module, std::uint64_t sequence) const {
-    return sinks_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
-  }
-  [[nodiscard]] std::size_t table_of(std::uint64_t sequence) const {
-    return sinks_.size() == 1 ? 0 : context_.board.table_of(sequence);
-  }
+  [[nodiscard]] bool is_sink(std::size_t module) const { return sinks_[module] != 0; }
   [[nodiscard]] bool settled() const;
   [[nodiscard]] bool wait_quiet();
 
@@ -127,10 +119,10 @@ class Ledger {
   std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
   std::vector<char> asked_for_;                        ///< [module]
   std::vector<char> ends_releases_;                    ///< [module] a sink of some table
-  const OfTables off_, sinks_;                         ///< [table][module]
-  std::vector<char> unproven_;      ///< [chain] by tables of keys: a change was not certified
-  std::vector<int> num_sinks_;      ///< [table]
-  std::uint64_t num_released_ = 0;  ///< one rate; of the releasing thread, then of `run`'s
+  const std::vector<char> sinks_;                      ///< [module]
+  std::vector<char> unproven_;  ///< [chain] by tables of keys: a change was not certified
+  int num_sinks_ = 0;
+  std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
   std::vector<Released> released_;           ///< [source]
   std::int64_t gave_up_ns_ = 0;              ///< 0: it did not

@@ -650,13 +650,10 @@ std::int64_t Releaser::component_release_ns(std::int64_t now_ns,
 void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const std::uint64_t sequence = samples.front().sequence;
   // What waited was not released before.
-  const bool by_keys = tables_ != nullptr && context_.session.keys.has_value();
-  if (by_keys)
-    tables_->at_release(component_release_ns(now_ns, samples));
-  else if (tables_ && tables_->before(sequence, [this] { return wait_drained(); }))
-    now_ns = xauto::now_ns();
+  if (tables_ != nullptr) tables_->at_release(component_release_ns(now_ns, samples));
   const auto left_out = [&](const Sample& sample) {
-    return by_keys && tables_->leaves_out(component_release_ns(now_ns, std::span(&sample, 1)));
+    return tables_ != nullptr &&
+           tables_->leaves_out(component_release_ns(now_ns, std::span(&sample, 1)));
   };
   const auto origin_of = [&](const Sample& sample) {
     if (sample.nominal_ns > 0) return sample.nominal_ns;

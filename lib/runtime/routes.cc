@@ -146,6 +146,31 @@ void Routes::meet(const Claims& claims, std::size_t chain, std::int64_t us) {
                                    claimed_us + claimed_us * claims.more_pct / 100});
 }
 
+void Routes::judge() {
+  const Guard lock(*mutex_);
+  for (const Ended& ended : ended_) judge(ended);
+  ended_.clear();
+}
+
+void Routes::judge(const Ended& ended) {
+  const auto claimed = std::find_if(claims_.rbegin(), claims_.rend(), [&](const Claims& claims) {
+    return claims.from_ns <= ended.origin_ns;
+  });
+  if (claimed == claims_.rend()) return;
+  const std::int64_t claimed_us = claimed->claimed_us[ended.chain];
+  if (claimed_us <= 0) return;
+  if (claimed->change) meet(*claimed, ended.chain, ended.us);
+  if (ended.us <= claimed_us + claimed_us * claimed->more_pct / 100) return;
+  Route& route = routes_[ended.chain];
+  RouteReport& counts = route.counts;
+  ++counts.over_claim;
+  if (ended.us - claimed_us > counts.over_us - counts.over_claimed_us) {
+    counts.over_us = ended.us;
+    counts.over_claimed_us = claimed_us;
+  }
+  if (route.line != nullptr) route.line->over.fetch_add(1, std::memory_order_relaxed);
+}
+
 std::vector<Routes::Met> Routes::met() const {
   const Guard lock(*mutex_);
   return {met_.begin(), met_.end()};
@@ -187,20 +212,11 @@ void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
   if (was_off(route, origin_ns, now_ns)) return;
   RouteReport& counts = route.counts;
   const std::int64_t latency_us = (now_ns - origin_ns) / 1000;
-  const auto claimed = std::find_if(claims_.rbegin(), claims_.rend(), [&](const Claims& claims) {
-    return claims.from_ns <= origin_ns;
-  });
-  if (claimed != claims_.rend()) {
-    const auto chain = static_cast<std::size_t>(&route - routes_.data());
-    const std::int64_t claimed_us = claimed->claimed_us[chain];
-    if (claimed_us > 0 && claimed->change) meet(*claimed, chain, latency_us);
-    if (claimed_us > 0 && latency_us > claimed_us + claimed_us * claimed->more_pct / 100) {
-      ++counts.over_claim;
-      if (latency_us - claimed_us > counts.over_us - counts.over_claimed_us) {
-        counts.over_us = latency_us;
-        counts.over_claimed_us = claimed_us;
-      }
-      if (route.line != nullptr) route.line->over.fetch_add(1, std::memory_order_relaxed);
+  if (!claims_.empty()) {
+    ended_.push_back({static_cast<std::size_t>(&route - routes_.data()), origin_ns, latency_us});
+    if (ended_.size() > kMostEnded) {
+      judge(ended_.front());
+      ended_.pop_front();
     }
   }
   counts.latency_us.add(latency_us);

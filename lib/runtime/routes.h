@@ -77,6 +77,9 @@ class Routes {
   /// calls are remembered. `change`: these releases meet it.
   void claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us, std::int64_t more_pct = 0,
              std::optional<MetChange> change = {});
+  /// Holds what has ended since the last call against the claims that are there by now: a job that was too long may
+  /// have been known to be only after its result. Without claims nothing waits.
+  void judge();
   /// Of the results that met a change, the nearest to its claim.
   struct Met {
     std::uint64_t change = 0;
@@ -120,6 +123,12 @@ class Routes {
     std::int64_t more_pct = 0;
     std::optional<MetChange> change = {};
   };
+  /// What waits for judge().
+  struct Ended {
+    std::size_t chain = 0;
+    std::int64_t origin_ns = 0, us = 0;
+  };
+  void judge(const Ended& ended);
   void meet(const Claims& claims, std::size_t chain, std::int64_t us);
   [[nodiscard]] std::uint64_t missed_for_good(const Route& route, const Unended& unended) const;
   [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
@@ -131,7 +140,7 @@ class Routes {
   static constexpr std::size_t kMostUnknown = 1000;
   [[nodiscard]] static std::size_t newly_known(const Route& route, std::int64_t origin_ns);
   void grow_old(Route& route, std::int64_t now_ns, std::optional<std::int64_t>& missed_us);
-  static constexpr std::size_t kKeptClaims = 64;
+  static constexpr std::size_t kKeptClaims = 64, kMostEnded = 1000;
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
   bool lockstep_ = false;
@@ -139,6 +148,7 @@ class Routes {
   std::vector<Route> routes_;   ///< counts guarded by mutex_
   std::deque<Claims> claims_;   ///< likewise; by time
   std::deque<Have> haves_;      ///< likewise
+  std::deque<Ended> ended_;     ///< likewise
   std::deque<Met> met_;         ///< likewise; by changes
   Board* board_ = nullptr;      ///< null: nobody looks
   std::int64_t newest_ns_ = 0;  ///< likewise; the last release of all

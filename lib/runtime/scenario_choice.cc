@@ -40,13 +40,15 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
   }
   const int forms = static_cast<int>(types.size());
   for (const Table& table : tables.tables) {
-    xpu_.push_back(table.xpu);
+    auto& xpu = xpu_.emplace_back();
     auto& row = form_.emplace_back();
-    for (std::size_t x = 0; x < table.xpu.size(); ++x)
-      row.push_back(table.xpu[x] < 0
+    for (std::size_t x = 0; x < table.keys.placements.size(); ++x) {
+      xpu.push_back(table.xpu(x));
+      row.push_back(table.xpu(x) < 0
                         ? -1
                         : (table.loss.variant_of(x) + 1) * forms +
-                              type_of(platform.xpus[static_cast<std::size_t>(table.xpu[x])].type));
+                              type_of(platform.xpus[static_cast<std::size_t>(table.xpu(x))].type));
+    }
   }
   for (const auto& row : allowed_ns_.front()) recent_ns_.emplace_back(row.size(), 0);
   older_ns_ = recent_ns_;

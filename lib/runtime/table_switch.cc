@@ -85,11 +85,8 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
     ScenarioLine& line = board.scenario(s);
     name_line(line.name, tables_.scenarios[s].name);
     name_line(line.table, tables_.tables[static_cast<std::size_t>(tables_.serves[s].table)].name);
-    if (session.keys) continue;  // it is chains that something is claimed of
-    line.worst_case_us = line.allowed_us = tables_.serves[s].worst_case_us;
-    if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
   }
-  for (int from = 0; session.keys && from < static_cast<int>(tables_.tables.size()); ++from) {
+  for (int from = 0; from < static_cast<int>(tables_.tables.size()); ++from) {
     std::vector<std::int64_t>& of = drains_us_.emplace_back();
     for (int to = 0; to < static_cast<int>(tables_.tables.size()); ++to)
       of.push_back(from == to ? 0 : drain_us(tables_, from, to, session.app, session.platform));
@@ -207,10 +204,14 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
     }
     const std::int64_t too_long_ns = choice.saw_ns - choice.allowed_ns +
                                      (context_.session.emulates() ? kEmulatorStallUs * 1000 : 0);
-    drains_us = put_keys(since_us, table, choice,
-                         choice.why != Why::kOverrun || noticed_in_time(now, too_long_ns, before_ns,
-                                                                        tables_.notice_us * 1000));
+    drains_us =
+        this->change(since_us, table, choice,
+                     choice.why != Why::kOverrun ||
+                         noticed_in_time(now, too_long_ns, before_ns, tables_.notice_us * 1000));
+  } else if (choice.scenario != from && context_.grid.one_at_a_time) {
+    change_scenario(static_cast<std::int64_t>(since_us) * 1000, choice);
   }
+  ledger_.judge_claims();
   if (!is_news(choice, from)) return;
   SwitchReport change;
   change.release = context_.board.released();
@@ -223,8 +224,7 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
 /// What is nominally released at `from_us` or later has the table of `to`, in whichever process; where the
 /// change drains, after that. `in_time`: the certificate of the change counts with nothing that came
 /// earlier. Returns how long it drains.
-std::int64_t TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice& to,
-                                   bool in_time) {
+std::int64_t TableSwitch::change(std::uint64_t from_us, int from, const Choice& to, bool in_time) {
   const std::int64_t drains_us =
       drains_us_[static_cast<std::size_t>(from)][static_cast<std::size_t>(to.table)];
   put(from_us + static_cast<std::uint64_t>(drains_us), to.table);
@@ -233,7 +233,9 @@ std::int64_t TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice
   drains_until_ns_ = since_ns + drains_us * 1000;
   const Handover* change = handover_of(tables_, from, to.table);
   Handover drained;
-  if (drains_us > 0) {  // nothing is claimed of what meets it, and all is in time again
+  const bool alone = context_.grid.one_at_a_time;
+  if (drains_us > 0 || (alone && (change == nullptr || !change->claims_all()))) {
+    // Nothing is claimed of what meets it, and all is in time again.
     drained.worst_case_us.assign(context_.session.app.chains.size(), kNotThere);
     drained.settles_us = drains_us;
     change = &drained;
@@ -241,89 +243,29 @@ std::int64_t TableSwitch::put_keys(std::uint64_t from_us, int from, const Choice
   const std::int64_t settles_ns = change == nullptr ? 0 : change->settles_us * 1000;
   const bool proven = in_time && change != nullptr && change->claims_all();
   if (!proven) context_.board.header().unproven_switches.fetch_add(1, std::memory_order_relaxed);
-  ledger_.claim_handover(since_ns, since_ns + settles_ns, static_cast<std::size_t>(to.table),
-                         in_time ? change : nullptr,
-                         {num_switches_, static_cast<std::uint32_t>(scenario_),
-                          static_cast<std::uint32_t>(to.scenario)});
+  ledger_.claim_change(since_ns, since_ns + settles_ns, static_cast<std::size_t>(to.scenario),
+                       in_time || alone ? &change->worst_case_us : nullptr,
+                       {num_switches_, static_cast<std::uint32_t>(scenario_),
+                        static_cast<std::uint32_t>(to.scenario)});
   // Jobs of the next change may be too long that much before it is known.
   settled_ns_ = since_ns + settles_ns + tables_.notice_us * 1000;
   return drains_us;
 }
 
-bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
-  thread_.check();
-  const std::int64_t since = now_ns();
-  const int from = scenario_;
-  const auto [first, table] = choose();
-  std::int64_t held_ns = 0;
-  if (first.table != table) {
-    if (!drained()) {
-      if (!std::exchange(stuck_, true))
-        log::error("what is in flight does not end, so releases keep table '{}'",
-                   tables_.tables[static_cast<std::size_t>(table)].name);
-      return true;
-    }
-    stuck_ = false;
-    held_ns = now_ns() - since;
-  }
-  // What was in flight may have taken longer still.
-  const Choice choice = held_ns > 0 ? choose().first : first;
-  SwitchReport change;
-  const bool changed = is_news(choice, from);
-  judge(release, changed ? &change : nullptr);
-  constexpr std::int64_t kNothingNs = 200'000;
-  const bool waited = held_ns > kNothingNs;
-  const auto now_in = static_cast<std::size_t>(choice.scenario);
-  if (choice.table != table) put(release, choice.table);
-  if (!changed) return waited;
-  change.release = release;
-  change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
-  change.to = tables_.scenarios[now_in].name;
-  change.held_us = held_ns / 1000;
-  if (const Change* claimed = xauto::change_of(tables_, from, choice.scenario))
-    change.worst_case_us = claimed->worst_case_us;
-  show_spanned(change, from, choice.scenario);
-  tell(std::move(change), choice);
-  return waited;
+/// The same table: of the release that met the change it claims what it does of all that it serves.
+void TableSwitch::change_scenario(std::int64_t since_ns, const Choice& to) {
+  std::vector<std::optional<std::int64_t>> worst_us;
+  for (const ChainClaim& claim : tables_.tables[static_cast<std::size_t>(to.table)].keys.chains)
+    worst_us.emplace_back(claim.worst_case_us);
+  ledger_.claim_change(since_ns, since_ns, static_cast<std::size_t>(to.scenario), &worst_us,
+                       {num_switches_, static_cast<std::uint32_t>(scenario_),
+                        static_cast<std::uint32_t>(to.scenario)});
 }
 
-/// Counts the latencies of releases below `below`: under the scenario in force, or, with `change`, as
-/// those that met one. What has not ended counts later.
-void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
-  for (; judged_ < below; ++judged_) {
-    const auto latency = ledger_.latency_us(judged_);
-    if (!latency && change == nullptr) return;
-    if (!latency || *latency < 0) continue;
-    if (change != nullptr) {
-      change->spanned_us = std::max(change->spanned_us, *latency);
-      continue;
-    }
-    ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(scenario_));
-    line.releases.fetch_add(1, std::memory_order_relaxed);
-    if (*latency > line.allowed_us) line.over.fetch_add(1, std::memory_order_relaxed);
-    if (*latency > line.longest_us.load(std::memory_order_relaxed))
-      line.longest_us.store(*latency, std::memory_order_relaxed);
-  }
-}
-
-/// What met the change, on the board.
-void TableSwitch::show_spanned(const SwitchReport& change, int from, int to) {
-  const std::int64_t worst_us = change.worst_case_us.value_or(0);
-  const std::int64_t more_pct = context_.session.emulates() ? kEmulatorPct : 0;
-  const Spanned spanned{static_cast<std::uint32_t>(from),
-                        static_cast<std::uint32_t>(to),
-                        0,
-                        change.spanned_us,
-                        worst_us,
-                        worst_us + worst_us * more_pct / 100};
-  context_.board.header().spanned.take(spanned);
-  over_changes_ += spanned.exceeds() ? 1 : 0;
-}
-
-/// From `release` on. Known before that release is published, so by all that have it.
-void TableSwitch::put(std::uint64_t release, int table) {
-  context_.board.put_table(release, static_cast<std::uint32_t>(table));
-  if (release > 0) context_.board.header().switches.fetch_add(1);
+/// Known before what is released at `from_us` is published, so by all that have it.
+void TableSwitch::put(std::uint64_t from_us, int table) {
+  context_.board.put_table(from_us, static_cast<std::uint32_t>(table));
+  if (from_us > 0) context_.board.header().switches.fetch_add(1);
   const Guard lock(mutex_);
   table_ = table;
 }
@@ -426,11 +368,9 @@ std::vector<std::string> TableSwitch::broken() {
 
 void TableSwitch::report(RunReport& into) {
   thread_.check();
-  if (!context_.session.keys) judge(context_.board.released(), nullptr);
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
     const ScenarioLine& line = context_.board.scenario(s);
-    into.scenarios.push_back({line_name(line.name), line_name(line.table), line.releases.load(),
-                              line.longest_us.load(), line.worst_case_us});
+    into.scenarios.push_back({line_name(line.name), line_name(line.table), line.releases.load()});
   }
   into.switches.assign(switches_.begin(), switches_.end());
   for (const Routes::Met& met : ledger_.met()) {
@@ -442,7 +382,6 @@ void TableSwitch::report(RunReport& into) {
     change.worst_case_us = met.claimed_us;
   }
   into.num_switches = num_switches_;
-  into.over_changes = over_changes_;
 }
 
 }  // namespace xauto::runtime

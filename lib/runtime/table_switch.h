@@ -2,21 +2,17 @@
 // Before a job's first step, in a run with tables: which of them a release has. The release keeps it to
 // its end, in all processes.
 //
-//   before each release   what jobs took, and take ──► ScenarioChoice ──► the scenario, its table
-//   another table         the sensors wait until all that is in flight has ended; then the release,
-//                         and the table's number, go out together
+// What is nominally released from an instant on has the new table, and keys decide between jobs of both. What that
+// may cost is Handover::worst_case_us, as long as the change before has settled; a release that would need
+// another table sooner keeps the one in force, is counted, and nothing is claimed then. Nor is it after a
+// change that was made later than the certificate counts with (Tables::notice_us): a job had been too long
+// for more than that when a release still had the old table. Where nothing is claimed of some chain, the
+// change drains (model/drain.h): for so long nothing is released, and what comes from then on has the new
+// table's claims. Where an XPU is lost that the old table uses, it does not: what hangs there may never end.
 //
-// Where the app releases one at a time nothing is in flight then: a change costs no wait, and a release that
-// is under way has Change::worst_case_us.
-//
-// Tables of keys wait for nothing: what is nominally released from an instant on has the new table,
-// and keys decide between jobs of both. What that may cost is Handover::worst_case_us, as long as the
-// change before has settled; a release that would need another table sooner keeps the one in force, is
-// counted, and nothing is claimed then. Nor is it after a change that was made later than the certificate
-// counts with (Tables::notice_us): a job had been too long for more than that when a release still had
-// the old table. Where nothing is claimed of some chain, the change drains (model/drain.h): for so long
-// nothing is released, and what comes from then on has the new table's claims. Where an XPU is lost that
-// the old table uses, it does not: what hangs there may never end.
+// Where the app releases one at a time nothing is in flight when a release has its table: no change waits, and the
+// next release has what its own scenario claims. The one before, whose jobs asked for the change, has
+// Handover::worst_case_us; of a change that keeps the table, the table's.
 //
 // A job that runs too long decides for the next release, which is the first that can have another table.
 // In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
@@ -30,7 +26,6 @@
 #include <algorithm>
 #include <cstdint>
 #include <deque>
-#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -51,13 +46,13 @@
 
 namespace xauto::runtime {
 
-/// By keys, the microsecond from which on a new table counts: that of the release that is about to be
+/// The microsecond from which on a new table counts: that of the release that is about to be
 /// published at `nominal_ns`, unless something was already, up to `newest_ns`, which keeps its table.
 constexpr std::uint64_t first_us_of_table(std::int64_t nominal_ns, std::int64_t newest_ns) {
   return static_cast<std::uint64_t>(std::max(nominal_ns / 1000, newest_ns / 1000 + 1));
 }
 
-/// By keys: a job has been too long for `too_long_ns` by now. False: a release got the old table more than
+/// A job has been too long for `too_long_ns` by now. False: a release got the old table more than
 /// the notice after it had begun to be.
 constexpr bool noticed_in_time(std::int64_t now_ns, std::int64_t too_long_ns,
                                std::int64_t last_release_ns, std::int64_t notice_ns) {
@@ -72,11 +67,8 @@ class TableSwitch {
                                                                  const Wiring& wiring,
                                                                  Ledger& ledger);
 
-  /// Release `release` is about to be published: gives it its table. `drained` waits until all
-  /// earlier ones have ended; false: it gave up, then the table stays. Returns whether it waited.
-  bool before(std::uint64_t release, const std::function<bool()>& drained);
-  /// The same of tables of keys: activations that are nominally released at `nominal_ns` of
-  /// CLOCK_MONOTONIC are about to be, or those that were in part. Never waits.
+  /// Activations that are nominally released at `nominal_ns` of CLOCK_MONOTONIC are about to be, or those
+  /// that were in part: gives them their table. Never waits.
   void at_release(std::int64_t nominal_ns);
   /// After that: whether activations of that nominal release are left out, since a change drains.
   [[nodiscard]] bool leaves_out(std::int64_t nominal_ns) const {
@@ -99,10 +91,9 @@ class TableSwitch {
   [[nodiscard]] bool glance(const MachineState& machine);
   void look(const MachineState& machine) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::pair<Choice, int> choose();
-  void judge(std::uint64_t below, SwitchReport* change);
-  void show_spanned(const SwitchReport& change, int from, int to);
-  void put(std::uint64_t release, int table);
-  std::int64_t put_keys(std::uint64_t from_us, int from, const Choice& to, bool in_time);
+  void put(std::uint64_t from_us, int table);
+  std::int64_t change(std::uint64_t from_us, int from, const Choice& to, bool in_time);
+  void change_scenario(std::int64_t since_ns, const Choice& to);
   void tell(SwitchReport change, const Choice& choice);
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const MachineState& machine)
       XAUTO_REQUIRES(mutex_);
@@ -132,19 +123,16 @@ class TableSwitch {
   std::vector<std::uint64_t> hangs_ XAUTO_GUARDED_BY(mutex_);  ///< [XNode] that were looked at
   std::int64_t period_ns_ = 0;                                 ///< 0: none is stated
   int table_ XAUTO_GUARDED_BY(mutex_) = 0;                     ///< in force
-  int scenario_ = 0;  ///< the one that was told; the choice is ahead of it while a drain fails
-  std::uint64_t judged_ = 0;  ///< releases whose latency is counted
-  bool stuck_ = false;
-  int lost_ = -1;              ///< the XPU that was last told to be lost
-  bool told_outside_ = false;  ///< what was told last is that no scenario allows what was seen
-  // Of keys:
-  std::int64_t newest_ns_ = 0;                        ///< latest nominal release so far
-  std::int64_t settled_ns_ = 0;                       ///< from then on another change is certified
-  std::int64_t released_ns_ = 0;                      ///< when the last one that has a table got it
-  std::vector<std::vector<std::int64_t>> drains_us_;  ///< [from][to]; 0: it does not drain
+  int scenario_ = 0;                                           ///< the one that was told
+  int lost_ = -1;                 ///< the XPU that was last told to be lost
+  bool told_outside_ = false;     ///< what was told last is that no scenario allows what was seen
+  std::int64_t newest_ns_ = 0;    ///< latest nominal release so far
+  std::int64_t settled_ns_ = 0;   ///< from then on another change is certified
+  std::int64_t released_ns_ = 0;  ///< when the last one that has a table got it
+  std::vector<std::vector<std::int64_t>> drains_us_;       ///< [from][to]; 0: it does not drain
   std::int64_t drains_from_ns_ = 0, drains_until_ns_ = 0;  ///< what is released there is left out
   std::deque<SwitchReport> switches_;
-  std::uint64_t num_switches_ = 0, over_changes_ = 0;
+  std::uint64_t num_switches_ = 0;
   OutsideLog outside_ XAUTO_GUARDED_BY(mutex_);
   std::unique_ptr<ConditionWatch> conditions_;  ///< last: its thread uses the others
 };

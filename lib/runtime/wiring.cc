@@ -205,7 +205,7 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
     for (const Table& table : context_.session.tables->tables)
       off.push_back(table.loss.is_off(module.name) ? 1 : 0);
     if (std::count(off.begin(), off.end(), 1) == 0) off.clear();
-    made.read_tables(context_.board, std::move(off), context_.session.tables_of_keys());
+    made.read_tables(context_.board, std::move(off));
   }
   return {};
 }

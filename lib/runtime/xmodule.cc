@@ -268,7 +268,7 @@ bool ModuleRuntime::leaves_out(std::vector<Lost>& lost) {
     released_ns = message.origin_ns - queue.shift_ns;
     sequence = message.sequence;
   }
-  if (off_[table_of(released_ns, sequence)] == 0) return false;
+  if (off_[table_of(released_ns)] == 0) return false;
   if (numbered_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     settle(sequence + 1, XAUTO_DROP_OFF, lost);
@@ -299,7 +299,7 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
   }
-  if (tables_ != nullptr) activation.table_ = table_of(released_ns, sequence);
+  if (tables_ != nullptr) activation.table_ = table_of(released_ns);
   activation.stage_ = Activation::Stage::kRuns;
   activation.number_ = fired_++;
   activation.position_ = 0;

@@ -80,13 +80,11 @@ class alignas(64) ModuleRuntime {
   void read_parameters(ParameterReader reader);
   /// `abandon` may be called.
   void watch() { watched_ = true; }
-  /// Activations have the tables that the board says of their releases. It outlives this. `off`: by
-  /// table, whether its releases leave the module out; empty: none does. `by_time`: of their nominal
-  /// releases.
-  void read_tables(const Board& board, std::vector<char> off, bool by_time) {
+  /// Activations have the tables that the board says of their nominal releases. It outlives this. `off`: by
+  /// table, whether its releases leave the module out; empty: none does.
+  void read_tables(const Board& board, std::vector<char> off) {
     tables_ = &board;
     off_ = std::move(off);
-    tables_by_time_ = by_time;
   }
   /// Numbered: releases below `next` are settled already.
   void begin_at(std::uint64_t next) {
@@ -171,9 +169,8 @@ class alignas(64) ModuleRuntime {
   [[nodiscard]] bool fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void take(Activation& activation, std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool leaves_out(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  [[nodiscard]] std::uint32_t table_of(std::int64_t released_ns, std::uint64_t sequence) const {
-    return tables_->table_of(tables_by_time_ ? static_cast<std::uint64_t>(released_ns) / 1000
-                                             : sequence);
+  [[nodiscard]] std::uint32_t table_of(std::int64_t released_ns) const {
+    return tables_->table_of(static_cast<std::uint64_t>(released_ns) / 1000);
   }
   void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_) {
     // Asked at each message and each end: mostly an input is still missing.
@@ -254,7 +251,6 @@ class alignas(64) ModuleRuntime {
   ModuleHost& host_;
   const Board* tables_ = nullptr;
   std::vector<char> off_;  ///< [table]
-  bool tables_by_time_ = false;
   std::vector<std::unique_ptr<Activation>> activations_;
   Activation* only_ = nullptr;  ///< where one is in flight at a time
 

@@ -90,12 +90,10 @@ struct FailedPreemptionReport {
   std::uint64_t suspends = 0, resumes = 0;
 };
 
-/// A scenario of a run with tables: releases under it that met no change of the scenario.
+/// A scenario of a run with tables.
 struct ScenarioReport {
   std::string name, table;
-  std::uint64_t releases = 0;
-  std::int64_t longest_us = -1;  ///< -1: there was none
-  std::int64_t worst_case_us = 0;
+  std::uint64_t releases = 0;  ///< under it
 };
 
 /// Another scenario counts from a release on.
@@ -105,11 +103,10 @@ struct SwitchReport {
   std::string table;          ///< which that release has
   std::string why;            ///< runtime::Why
   std::string detail;         ///< the job that was the reason, for people; empty: none was
-  std::int64_t held_us = 0;   ///< the sensors waited so long for what was in flight
-  /// The longest release that was in flight, or had ended since the choice before; -1: there was none. Of
-  /// keys the result that met the change and was nearest to its claim, and of which chain it was.
+  std::int64_t held_us = 0;   ///< nothing was released for so long, while it drained
+  /// The result that met the change and was nearest to its claim, and of which chain it was; -1: there was none.
   std::int64_t spanned_us = -1;
-  std::optional<std::int64_t> worst_case_us;  ///< of such a release; empty: nothing is claimed
+  std::optional<std::int64_t> worst_case_us;  ///< of it
   std::string chain = {};
 };
 inline constexpr std::size_t kKeptSwitches = 4096;
@@ -150,7 +147,7 @@ struct RunReport {
   std::uint64_t deadline_misses = 0;
   /// Of an app that releases one at a time: releases that came while an earlier one was still in flight.
   std::uint64_t overlapping_releases = 0;
-  /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
+  /// What the policy's worst case takes for granted (model/claims.h) and this run does not keep by
   /// the way it was set up; a line each, for people.
   std::vector<std::string> unkept;
   /// What app.json states and this run saw otherwise: then its claims do not hold; a line each.
@@ -163,7 +160,6 @@ struct RunReport {
   std::vector<SwitchReport> switches;
   std::uint64_t num_switches = 0;
   /// Of all of them, those of which a release that met it took longer than claimed.
-  std::uint64_t over_changes = 0;
   bool several_rates = false;   ///< there are no releases to count, but each sensor's
   std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };

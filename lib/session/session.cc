@@ -81,8 +81,7 @@ void fields(Io io, T& x) {
 
 template <class Io, Is<ScenarioReport> T>
 void fields(Io io, T& x) {
-  io("name", x.name, "table", x.table, "releases", x.releases, "longest_us", x.longest_us,
-     "worst_case_us", x.worst_case_us);
+  io("name", x.name, "table", x.table, "releases", x.releases);
 }
 
 template <class Io, Is<SwitchReport> T>
@@ -106,8 +105,8 @@ void fields(Io io, T& x) {
      x.failed_preemptions, "lost_coordinators", x.lost_coordinators, "died", x.died,
      "deadline_misses", x.deadline_misses, "overlapping_releases", x.overlapping_releases, "unkept",
      x.unkept, "broken", x.broken, "taken", x.taken, "not_watched", x.not_watched, "scenarios",
-     x.scenarios, "switches", x.switches, "num_switches", x.num_switches, "over_changes",
-     x.over_changes, "several_rates", x.several_rates, "recording_error", x.recording_error);
+     x.scenarios, "switches", x.switches, "num_switches", x.num_switches, "several_rates",
+     x.several_rates, "recording_error", x.recording_error);
 }
 
 template <class Io, Is<Error> T>
@@ -345,7 +344,7 @@ void Session::take_tables(Tables all) {
     by_table.push_back(whole_policy(all, t, app, platform));
   const auto first = static_cast<std::size_t>(all.serves.front().table);
   policy = by_table[first];
-  if (!all.keys.empty()) keys = keys_under(all, first, app, platform, {});
+  keys = keys_under(all, first, app, platform, {});
   tables = std::move(all);
 }
 

@@ -110,10 +110,8 @@ struct Session {
   }
   /// Where there are `keys`.
   [[nodiscard]] const Policy& keys_of(std::size_t table) const {
-    return tables ? tables->keys[table] : *keys;
+    return tables ? tables->tables[table].keys : *keys;
   }
-  /// Several policies of keys: a release has the table of its nominal instant.
-  [[nodiscard]] bool tables_of_keys() const { return tables && keys; }
   /// Index into XNodeSpec::variants of what runs under `table`; -1: its own implementation.
   [[nodiscard]] int variant_of(std::size_t table, std::size_t xnode) const {
     return tables ? tables->tables[table].loss.variant_of(xnode) : -1;

@@ -23,16 +23,16 @@ Json longest(std::int64_t us) {
 
 }  // namespace
 
-TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys) {
+TableClaims table_claims_of(const RunReport& report, bool one_at_a_time) {
   TableClaims claims;
-  claims.scope = by_keys ? kKeyScope : kWorstCaseScope;
+  claims.scope = scope_of(one_at_a_time);
   claims.broken = report.unkept;
   claims.broken.insert(claims.broken.end(), report.broken.begin(), report.broken.end());
   if (std::string met = words_of_overlaps(report.overlapping_releases, report.num_releases);
       !met.empty())
     claims.broken.push_back(std::move(met));
-  std::uint64_t lost = 0;  // by keys each activation counts
-  for (const ModuleReport& m : report.modules) lost += by_keys ? m.failed + m.dropped : 0;
+  std::uint64_t lost = 0;
+  for (const ModuleReport& m : report.modules) lost += m.failed + m.dropped;
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
   if (report.lost_releases > 0)
     claims.broken.push_back(fmt::format("{} releases were lost", report.lost_releases));
@@ -40,29 +40,12 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
     claims.broken.push_back(std::move(over));
   for (std::string& line : words_of_unended(report)) claims.broken.push_back(std::move(line));
   for (std::string& line : words_of_deaths(report)) claims.broken.push_back(std::move(line));
-  const auto judge = [&](const std::string& what, std::int64_t us, std::int64_t worst_us) {
-    if (us > worst_us + (emulates ? worst_us * kEmulatorPct / 100 : 0))
-      claims.exceeded.push_back(
-          fmt::format("{}: {:.2f} ms of {:.2f} ms", what, in_ms(us), in_ms(worst_us)));
-  };
   for (const RouteReport& r : report.routes)
     if (r.over_claim > 0)
       claims.exceeded.push_back(
           fmt::format("chain '{}': {} releases longer than their table claims, or the change that "
                       "they met",
                       r.name, r.over_claim));
-  for (const ScenarioReport& s : report.scenarios)
-    judge("scenario '" + s.name + "'", s.longest_us, s.worst_case_us);
-  const std::size_t before_changes = claims.exceeded.size();
-  for (const SwitchReport& s : report.switches)
-    if (s.worst_case_us && s.chain.empty())  // chains are counted above
-      judge(fmt::format("change from '{}' to '{}' at release {}", s.from, s.to, s.release),
-            s.spanned_us, *s.worst_case_us);
-  // The list has the last changes only; what is judged is all of them.
-  if (const std::size_t listed = claims.exceeded.size() - before_changes;
-      report.over_changes > listed)
-    claims.exceeded.push_back(fmt::format("{} changes of the scenario before the last {}",
-                                          report.over_changes - listed, report.switches.size()));
   return claims;
 }
 
@@ -89,7 +72,7 @@ const SwitchReport* nearest(const RunReport& report) {
 
 std::string words_of_nearest(const std::string& chain, std::int64_t us, std::int64_t worst_us,
                              const std::string& from, const std::string& to, const char* mark) {
-  const std::string what = chain.empty() ? "release" : "result of '" + chain + "'";
+  const std::string what = "result of '" + chain + "'";
   if (worst_us == 0)
     return fmt::format(
         "the longest {} that met a change took {:.2f} ms ('{}' to '{}'); nothing is "
@@ -189,11 +172,7 @@ void add_tables(const RunReport& report, const TableClaims& claims, Json& into) 
   into["worst_case_broken"] = claims.broken;
   Json scenarios = Json::array();
   for (const ScenarioReport& s : report.scenarios) {
-    scenarios.push_back({{"name", s.name},
-                         {"table", s.table},
-                         {"releases", s.releases},
-                         {"longest_us", longest(s.longest_us)}});
-    if (s.worst_case_us > 0) scenarios.elements().back()["worst_case_us"] = s.worst_case_us;
+    scenarios.push_back({{"name", s.name}, {"table", s.table}, {"releases", s.releases}});
   }
   into["scenarios"] = std::move(scenarios);
   Json switches = Json::array();

@@ -21,8 +21,8 @@ struct TableClaims {
   std::vector<std::string> exceeded;  ///< a line each, "scenario 'x': 31.20 ms of 30.10 ms"
   std::vector<std::string> broken;    ///< assumptions that this run broke, a line each
 };
-/// `emulates`: the emulator's own part is allowed for (kEmulatorPct). `by_keys`: they are tables of keys.
-[[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys);
+/// `one_at_a_time`: as the app's.
+[[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool one_at_a_time);
 
 /// Of what met changes: `us` of `worst_us` is nearer to its worst case than `than_us` of `than_worst_us`, or
 /// beyond it by more. Of what nothing is claimed (worst_us 0) the longer one, and none is near.
@@ -30,8 +30,8 @@ struct TableClaims {
                           std::int64_t than_worst_us);
 /// The nearest of the report's changes; null: none was met by anything that something is claimed of.
 [[nodiscard]] const SwitchReport* nearest(const RunReport& report);
-/// "of what met a change the nearest to its worst case, a release, took 31.20 ms of 40.00 ms ('a' to 'b')".
-/// `chain`: whose result it is; empty: a release. `mark`: before the worst case.
+/// "of what met a change the nearest to its worst case, a result of 'x', took 31.20 ms of 40.00 ms ('a' to 'b')".
+/// `chain`: whose result it is. `mark`: before the worst case.
 [[nodiscard]] std::string words_of_nearest(const std::string& chain, std::int64_t us,
                                            std::int64_t worst_us, const std::string& from,
                                            const std::string& to, const char* mark = "");
@@ -57,7 +57,7 @@ struct TableClaims {
 /// Jobs longer than their WCET, of tables longer than their scenario's; empty: there was none.
 [[nodiscard]] std::string words_of_overruns(const RunReport& report);
 
-/// Of a run by tables of keys, what breaks its claims.
+/// Of a run by tables, what breaks its claims.
 [[nodiscard]] std::string words_of_unproven(std::uint64_t switches);
 [[nodiscard]] std::string words_of_unsettled(std::uint64_t releases);
 

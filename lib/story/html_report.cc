@@ -181,13 +181,10 @@ std::string tables_section(const ReadTrace& trace) {
   if (!trace.scenarios.empty()) {
     html +=
         "<table><tr><th>scenario</th><th style='text-align:left'>table</th><th>releases</th>"
-        "<th>longest, ms</th><th>worst case</th></tr>";
+        "</tr>";
     for (const TraceScenario& s : trace.scenarios)
-      html += fmt::format(
-          "<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
-          "</tr>",
-          html_safe(s.name), html_safe(s.table), s.releases, time(s.longest_us),
-          time(s.worst_case_us));
+      html += fmt::format("<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td></tr>",
+                          html_safe(s.name), html_safe(s.table), s.releases);
     html += "</table>";
   }
   constexpr std::size_t kShown = 100;
@@ -207,9 +204,9 @@ std::string tables_section(const ReadTrace& trace) {
     html += fmt::format(
         "<p>Of what met a change the nearest to its worst case, {}, took {} ms of {} "
         "({} to {}, release {}).</p>",
-        nearest->chain.empty() ? "a release" : "a result of " + html_safe(nearest->chain),
-        ms(nearest->spanned_us), ms(nearest->worst_case_us), html_safe(nearest->from),
-        html_safe(nearest->to), nearest->release);
+        "a result of " + html_safe(nearest->chain), ms(nearest->spanned_us),
+        ms(nearest->worst_case_us), html_safe(nearest->from), html_safe(nearest->to),
+        nearest->release);
   html +=
       "<table><tr><th>from release</th><th>after, s</th><th style='text-align:left'>from</th>"
       "<th style='text-align:left'>to</th><th style='text-align:left'>table</th>"

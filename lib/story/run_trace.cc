@@ -188,8 +188,6 @@ class Painter {
                      {"releases", static_cast<std::int64_t>(s.releases)}},
                     {},
                     {}};
-    if (s.longest_us >= 0) details.args.emplace_back("longest_us", s.longest_us);
-    if (s.worst_case_us >= 0) details.args.emplace_back("worst_case_us", s.worst_case_us);
     out_.instant(track, story_.begin_ns, fmt::format("scenario '{}', table '{}'", s.name, s.table),
                  std::move(details));
   }

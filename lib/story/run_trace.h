@@ -28,12 +28,11 @@ struct Row {
 struct ScenarioInfo {
   std::string name, table;
   std::uint64_t releases = 0;
-  std::int64_t longest_us = -1, worst_case_us = -1;
 };
 struct ChangeInfo {
   std::uint64_t release = 0;
   std::string from, to;
-  std::string chain;  ///< of keys, whose result met it; empty: a release did
+  std::string chain;  ///< whose result met it; empty: none did
   std::int64_t spanned_us = -1, worst_case_us = -1;
 };
 

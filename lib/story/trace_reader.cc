@@ -266,9 +266,7 @@ class TraceFile {
       if (arg.name() == "releases") scenario.releases = arg.int_value();
       if (!time) continue;
       if (arg.name() == "spanned_us") change.spanned_us = arg.int_value();
-      if (arg.name() == "longest_us") scenario.longest_us = arg.int_value();
-      if (arg.name() == "worst_case_us")
-        scenario.worst_case_us = change.worst_case_us = arg.int_value();
+      if (arg.name() == "worst_case_us") change.worst_case_us = arg.int_value();
     }
     if (event.categories_size() > 0 && event.categories(0) == "scenario")
       out_.scenarios.push_back(std::move(scenario));

@@ -77,13 +77,13 @@ struct TraceOutputs {
 /// Of a run with tables. -1: not told; of a worst case: nothing is claimed.
 struct TraceScenario {
   std::string name, table;
-  std::int64_t releases = -1, longest_us = -1, worst_case_us = -1;
+  std::int64_t releases = -1;
 };
 /// Another scenario counts, and what met that.
 struct TraceChange {
   std::int64_t at_ns = 0, release = -1;
   std::string from, to, table, why;
-  std::string chain;  ///< of keys, whose result met it; empty: a release did
+  std::string chain;  ///< whose result met it; empty: none did
   std::int64_t spanned_us = -1, worst_case_us = -1;
 };
 

@@ -33,7 +33,7 @@ Result<Changes> Changes::create(const Tables& tables, const AppSpec& app,
     of.envelope = envelope(tables, t, app);
     XAUTO_ASSIGN(of.problem, changes.problem_of(of.envelope, t));
     of.xpu = xpus_on(changes.of_all_, tables.tables[t], app);
-    XAUTO_ASSIGN(of.windows, windows_of(of.problem, tables.keys[t], of.xpu));
+    XAUTO_ASSIGN(of.windows, windows_of(of.problem, tables.tables[t].keys, of.xpu));
     changes.prepared_.push_back(std::move(of));
   }
   return changes;
@@ -81,8 +81,9 @@ ChangeCost cost_of(const std::vector<Handover>& handovers, const Tables& tables,
         ++cost.unclaimed;
         continue;
       }
-      const auto own = static_cast<double>(std::max(tables.keys[at(h.from)].chains[c].worst_case_us,
-                                                    tables.keys[at(h.to)].chains[c].worst_case_us));
+      const auto own =
+          static_cast<double>(std::max(tables.tables[at(h.from)].keys.chains[c].worst_case_us,
+                                       tables.tables[at(h.to)].keys.chains[c].worst_case_us));
       const auto us = static_cast<double>(*worst);
       const auto deadline = static_cast<double>(app.chains[c].deadline_us.value_or(0));
       if (deadline > 0) cost.missed += std::max(0.0, us - std::max(own, deadline)) / deadline;

@@ -9,6 +9,7 @@
 #include "base/index.h"
 #include "model/components.h"
 #include "solver/keys/changes.h"
+#include "solver/keys/sequence.h"
 #include "solver/keys/solve.h"
 #include "solver/least_loss.h"
 #include "solver/random.h"
@@ -118,8 +119,7 @@ class KeyTablesSearch {
   }
 
   [[nodiscard]] double value_of(const std::vector<std::int64_t>& us) const {
-    const Objective of = chain_objective(app_, us);
-    return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
+    return chain_objective(app_, us).value;
   }
 
   /// A change has a worst case where clocks share no XPU: for each type, how many of its
@@ -228,7 +228,8 @@ class KeyTablesSearch {
         const bool told = options_.stop != nullptr && options_.stop->load();
         if (progress.late <= 1 || told) enough.store(true);
       };
-    solving.aim = app_.has_deadlines() ? Aim::kLargest : Aim::kSum;  // as value_of()
+    solving.aim =
+        app_.has_deadlines() || app_.one_at_a_time ? Aim::kLargest : Aim::kSum;  // as value_of()
     solving.time_limit_s = seconds;
     solving.threads = threads;
     solving.seed = seed;
@@ -236,7 +237,7 @@ class KeyTablesSearch {
     solving.stop = how.in_time ? &enough : options_.stop;
     solving.hint = hint;
     solving.keep = how.keep;
-    solving.order = false;
+    solving.order = app_.one_at_a_time;
     AppSpec app = app_under(app_, scenario, loss);
     if (how.slack_pct > 0) lengthen(app, how.slack_pct);
     return solve(app, left, solving);
@@ -506,7 +507,7 @@ class KeyTablesSearch {
     tables.app_hash = app_.hash();
     tables.platform = platform_.name;
     tables.scenarios = scenarios_;
-    tables.notice_us = kNoticeUs;
+    tables.notice_us = app_.one_at_a_time ? 0 : kNoticeUs;  // then nothing is in flight
     candidate.clear();
     for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       const int c = choice.serves[s];
@@ -516,10 +517,9 @@ class KeyTablesSearch {
         candidate.push_back(c);
         put(candidates_[at(c)], tables);
       }
-      tables.serves.push_back({number, 0, 0, bound_[s]});
+      tables.serves.push_back({number, {}, bound_[s]});
     }
-    set_priorities(tables);
-    set_figures(tables, app_);
+    set_claims(tables);
     return tables;
   }
 
@@ -533,9 +533,16 @@ class KeyTablesSearch {
 
   /// Handovers of `table` from and to all others, the rest as before; all of them for -1.
   Status set_handovers(Tables& tables, int table, const Until& until) const {
-    XAUTO_ASSIGN(const Changes changes, Changes::create(tables, app_, platform_));
     std::vector<Handover> all;
     const auto n = static_cast<int>(tables.tables.size());
+    if (app_.one_at_a_time) {
+      for (int from = 0; from < n; ++from)
+        for (int to = 0; to < n; ++to)
+          if (from != to) all.push_back(release_across(tables, from, to, app_, platform_));
+      tables.handovers = std::move(all);
+      return {};
+    }
+    XAUTO_ASSIGN(const Changes changes, Changes::create(tables, app_, platform_));
     for (int from = 0; from < n; ++from)
       for (int to = 0; to < n; ++to) {
         if (from == to) continue;
@@ -571,7 +578,7 @@ class KeyTablesSearch {
     const Until no_limit{TimePoint::max(), options_.stop};
     XAUTO_TRY(set_handovers(best, -1, no_limit));
     const auto n = static_cast<int>(candidate.size());
-    if (n < 2) return best;
+    if (n < 2 || app_.one_at_a_time) return best;
     ChangeCost cost = cost_of(best.handovers, best, app_);
     const double slice =
         std::max(kLeastForTableS, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
@@ -694,22 +701,30 @@ class KeyTablesSearch {
     Table& table = tables.tables.emplace_back();
     table.loss = losses_[candidate.loss];
     table.name = name_of_table(tables.tables.size() - 1, table.loss, app_);
-    fill(candidate, table, tables.keys.emplace_back());
+    fill(candidate, table);
   }
   /// The same scenarios, another policy.
   void replace(Tables& tables, int number, const KeyTable& candidate) const {
     Table& table = tables.tables[at(number)];
-    table.xpu.clear();
-    fill(candidate, table, tables.keys[at(number)] = {});
-    set_priorities(tables);
-    set_figures(tables, app_);
+    table.keys = {};
+    fill(candidate, table);
+    set_claims(tables);
   }
-  void fill(const KeyTable& candidate, Table& table, Policy& keys) const {
-    for (const Placement& p : hint_for(candidate, {}).placements) {  // on the whole platform
-      table.xpu.push_back(on_platform(p.xpu));
-      keys.placements.push_back({table.xpu.back(), p.key_us, p.hold_us});
+  void set_claims(Tables& tables) const {
+    for (Served& served : tables.serves) {
+      served.chain_worst_us.clear();
+      for (const ChainClaim& claim : tables.tables[at(served.table)].keys.chains)
+        served.chain_worst_us.push_back(claim.worst_case_us);
+      served.lower_bound_us = 0;
     }
-    table.priority.assign(table.xpu.size(), 0);
+    set_figures(tables, app_);
+    if (app_.one_at_a_time) set_scenario_claims(tables, app_, platform_);
+  }
+  void fill(const KeyTable& candidate, Table& table) const {
+    Policy& keys = table.keys;
+    for (const Placement& p : hint_for(candidate, {}).placements)  // on the whole platform
+      keys.placements.push_back({on_platform(p.xpu), p.key_us, p.hold_us});
+    keys.order = candidate.policy.order;
     for (const ChainSpec& chain : app_.chains) keys.chains.push_back({chain.name, kNotThere});
     const std::vector<int> there = kept_chains(app_, table.loss);
     for (std::size_t k = 0; k < there.size(); ++k) {
@@ -740,12 +755,6 @@ class KeyTablesSearch {
 
 Result<Tables> solve_key_tables(const AppSpec& app, const Platform& platform,
                                 const Scenarios& scenarios, const TablesOptions& options) {
-  for (std::size_t s = 0; s < scenarios.list.size(); ++s)
-    if (scenarios.list[s].degraded && !app.has_deadlines())
-      return fail(ErrorCode::kInvalid,
-                  "no chain has a deadline: nothing says for what the app would lose anything",
-                  "/scenarios/" + std::to_string(s) + "/degraded",
-                  "give chains of app.json deadline_us, or leave degraded out");
   return KeyTablesSearch(app, platform, scenarios, options).run();
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Few tables of keys for many scenarios: solver/tables.h, for an app whose sources have rates.
+// Few tables of keys for many scenarios: solver/tables.h, for an app whose sources have rates, or whose release has more
+// than a length.
 //
 // The worst cases of keys follow from the keys alone, and keys that are certified hold for all that is
 // component-wise below. So a table is a policy for an *envelope*, of each WCET the longest of the

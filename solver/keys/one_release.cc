@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "solver/bounds.h"
+#include "solver/keys/sequence.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -88,19 +89,12 @@ void put_in_sequence(const Problem& p, Policy& policy, const PriorityPlan& plan)
   });
   std::map<int, int> last_on;
   for (const int i : all) {
-    const int xpu = plan.placements[at(i)].xpu;
-    Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
-    const auto end_of = [&](int j) { return policy.placements[at(j)].key_us.front() * p.scale; };
-    for (const EdgeEnd& link : p.pred[at(i)])
-      ready = std::max(
-          ready, end_of(link.xnode) + p.transfer(link, plan.placements[at(link.xnode)].xpu, xpu));
-    if (const auto [last, first] = last_on.emplace(xpu, i); !first) {
-      policy.order.emplace_back(last->second, i);
-      ready = std::max(ready, end_of(last->second));
-      last->second = i;
-    }
-    policy.placements[at(i)].key_us = {p.up_to_us(ready + p.wcet(i, xpu)) / p.scale};
+    const auto [last, first] = last_on.emplace(plan.placements[at(i)].xpu, i);
+    if (first) continue;
+    policy.order.emplace_back(last->second, i);
+    last->second = i;
   }
+  set_sequence_keys(p, all, policy);
 }
 
 /// Who ends last of all is then the end of a chain, which hears of it directly; and no source of one is later than

@@ -162,14 +162,14 @@ BEYOND = {
                   "xnode-unknown", "when-both", "when-empty-range", "when-nothing"},
     "emulation": {"order", "twice", "type-unknown", "stop-unknown", "stop-twice", "stop-and-start", "nothing",
                   "repeat-too-soon"},
-    "tables": {"another-app", "change-to-an-unknown-scenario", "changes-not-all", "changes-out-of-order", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
-               "priority-twice", "scenario-unknown", "served-twice", "serves-with-a-lost-xpu", "stale", "table-twice",
+    "tables": {"another-app", "more-than-its-table", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
+               "scenario-unknown", "served-twice", "stale", "table-twice",
                "table-unknown", "xpu-of-no-implementation", "xpu-unknown"},
     "tables-keys": {"chain-missing", "chain-twice", "chain-unknown", "handover-claims-what-is-off",
                  "handover-off-where-both-have-it", "handover-off-with-a-worst-case", "handover-to-an-unknown-table",
                  "handovers-not-all", "handovers-out-of-order", "key-count", "key-too-early-for-what-it-serves",
-                 "keys-that-fall", "loses-where-it-is-not-degraded", "not-off-and-no-chain", "not-placed",
-                 "off-and-not-optional", "off-chain-with-a-bound", "off-chain-with-a-worst-case", "off-with-an-xpu",
+                 "keys-that-fall", "less-than-its-table", "loses-where-it-is-not-degraded", "not-off-and-no-chain", "not-placed",
+                 "off-and-not-optional", "order", "off-chain-with-a-bound", "off-chain-with-a-worst-case", "off-with-an-xpu",
                  "off-without-a-key", "serves-with-a-lost-xpu", "variant-unknown"},
 }
 

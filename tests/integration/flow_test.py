@@ -76,15 +76,22 @@ class Flow(unittest.TestCase):
         tables = load(self.path("t.json"))
         self.assertLessEqual(len(tables["tables"]), 2)
         self.assertEqual([s["scenario"] for s in tables["serves"]], [s["name"] for s in document["scenarios"]])
-        worst = max(s["worst_case_us"] / s["lower_bound_us"] for s in tables["serves"])
+        by_name = {t["name"]: t for t in tables["tables"]}
+
+        def regret(serve):
+            """All chains have one deadline."""
+            claims = {c["name"]: c["worst_case_us"] for c in by_name[serve["table"]]["chains"]}
+            worst = max(c.get("worst_case_us", claims[c["name"]]) for c in serve["chains"])
+            return worst / max(serve.get("lower_bound_us", 0), *(c["lower_bound_us"] for c in serve["chains"]))
+        worst = max(map(regret, tables["serves"]))
         self.assertAlmostEqual(told["worst_regret"], worst)
         self.assertLess(worst, 1.5)
-        by_name = {t["name"]: t for t in tables["tables"]}
         without = next(s for s in tables["serves"] if s["scenario"] == "no DLA")
         self.assertNotIn("dla0", {x["xpu"] for x in by_name[without["table"]]["xnodes"]})
-        check = ["check", "--app", APP, "--platform", "small", "--policy", self.path("t.json"), "--executions", 500]
+        check = ["check", "--app", APP, "--platform", "small", "--policy", self.path("t.json")]
         self.assertIn("tells the truth", self.good(*check))
-        tables["serves"][1]["worst_case_us"] -= 1
+        longest = max(tables["serves"][1]["chains"], key=lambda c: c.get("worst_case_us", 0))
+        longest["worst_case_us"] -= 1
         pathlib.Path(self.path("t.json")).write_text(json.dumps(tables))
         lie = xauto(*check)
         self.assertEqual(lie.returncode, 1, lie.stdout)

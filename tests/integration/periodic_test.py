@@ -344,12 +344,8 @@ class Periodic(unittest.TestCase):
 
     def test_what_is_of_one_release_is_refused_where_sources_have_rates(self):
         self.solve()
-        for arguments, words in ((["solve", "--app", "app.json", "--method", "ilp"], "plans one release"),
-                                 (["check", "--app", "app.json", "--policy", "policy.json", "--seed", 2], "no rate"),
-                                 (["check", "--app", "app.json", "--policy", "policy.json", "--executions", 5], "no rate"),
-                                 (["check", "--app", "app.json", "--policy", "policy.json", "--proof-nodes", 5], "no rate")):
-            with self.subTest(arguments=arguments):
-                self.assertIn(words, self.run_tool(*arguments, status=2).stderr)
+        refused = self.run_tool("solve", "--app", "app.json", "--method", "ilp", status=2)
+        self.assertIn("plans one release", refused.stderr)
 
 
 if __name__ == "__main__":

@@ -131,7 +131,7 @@ class Tables(unittest.TestCase):
         worst = self.worst_so_far()
         for shown in (xauto("status").stdout, xauto("mode", "--run", self.run_id).stdout,
                       xauto("top", "--run", self.run_id, "--interval-ms", 50, "--once").stdout):
-            self.assertRegex(shown, r"of what met a change the nearest to its worst case, a release, took [\d.]+ ms of \*?[\d.]+ ms")
+            self.assertRegex(shown, r"of what met a change the nearest to its worst case, a result of '[^']+', took [\d.]+ ms of \*?[\d.]+ ms")
         report = self.end()
         self.assertIn((worst["from"], worst["to"], worst["us"], worst["worst_case_us"]),
                       [(s["from"], s["to"], s["spanned_us"], s.get("worst_case_us")) for s in report["switches"]])
@@ -163,14 +163,14 @@ class Tables(unittest.TestCase):
         page = Page((self.folder / "t.html").read_text())
         table = lambda head: next(t[1:] for t in page.tables if t and t[0] and t[0][0] == head)
         ms = lambda us: "-" if us is None else f"{us / 1000:.2f}"
-        self.assertEqual(table("scenario"), [[s["name"], s["table"], str(s["releases"]), ms(s["longest_us"]),
-                                              ms(s["worst_case_us"])] for s in report["scenarios"]])
+        self.assertEqual(table("scenario"), [[s["name"], s["table"], str(s["releases"])] for s in report["scenarios"]])
         rows = table("from release")
         self.assertEqual([[r[0], *r[2:5], r[5].split(":")[0], *r[6:]] for r in rows],
-                         [[str(s["release"]), s["from"], s["to"], s["table"], s["why"], ms(s["spanned_us"]),
-                           ms(s.get("worst_case_us"))] for s in report["switches"]])
-        self.assertIn("Of what met a change the nearest to its worst case, a release, took "
-                      f"{ms(self.nearest(report)['spanned_us'])} ms of", page.text)
+                         [[str(s["release"]), s["from"], s["to"], s["table"], s["why"],
+                           ms(s["spanned_us"]) + (f" of {s['chain']}" if "chain" in s else ""), ms(s.get("worst_case_us"))] for s in report["switches"]])
+        nearest = self.nearest(report)
+        self.assertIn(f"Of what met a change the nearest to its worst case, a result of {nearest['chain']}, took "
+                      f"{ms(nearest['spanned_us'])} ms of", page.text)
 
     @staticmethod
     def nearest(report):

@@ -30,11 +30,7 @@ Result<int> list(const Watched& run, const Options& options) {
     Json all = Json::array();
     for (std::uint32_t s = 0; s < scenarios; ++s) {
       const ScenarioCounts one = scenario_of(*run.board, s);
-      all.push_back({{"name", one.name},
-                     {"table", one.table},
-                     {"worst_case_us", one.worst_case_us > 0 ? Json(one.worst_case_us) : Json()},
-                     {"releases", one.releases},
-                     {"longest_us", one.longest_us < 0 ? Json() : Json(one.longest_us)}});
+      all.push_back({{"name", one.name}, {"table", one.table}, {"releases", one.releases}});
     }
     std::cout << Json{{"run", run.run},
                       {"now", now.name},
@@ -50,14 +46,11 @@ Result<int> list(const Watched& run, const Options& options) {
   std::size_t width = 8;
   for (std::uint32_t s = 0; s < scenarios; ++s)
     width = std::max(width, scenario_of(*run.board, s).name.size());
-  std::cout << fmt::format("    {:<{}}  {:<12}{:>12}{:>10}{:>12}\n", "scenario", width, "table",
-                           "worst case", "releases", "longest");
+  std::cout << fmt::format("    {:<{}}  {:<12}{:>10}\n", "scenario", width, "table", "releases");
   for (std::uint32_t s = 0; s < scenarios; ++s) {
     const ScenarioCounts one = scenario_of(*run.board, s);
-    std::cout << fmt::format("  {} {:<{}}  {:<12}{:>12}{:>10}{:>12}{}\n",
-                             one.name == now.name ? "*" : " ", one.name, width, one.table,
-                             one.worst_case_us > 0 ? ms(one.worst_case_us) : "-", one.releases,
-                             one.releases == 0 || one.longest_us < 0 ? "-" : ms(one.longest_us),
+    std::cout << fmt::format("  {} {:<{}}  {:<12}{:>10}{}\n", one.name == now.name ? "*" : " ",
+                             one.name, width, one.table, one.releases,
                              one.name == now.asked ? "  asked for" : "");
   }
   if (counts.spanned) std::cout << "\n" << spanned_text(counts);

@@ -9,7 +9,7 @@
 #include "base/log.h"
 #include "model/json.h"
 #include "solver/keys/check.h"
-#include "solver/verify_tables.h"
+#include "solver/keys/check_tables.h"
 
 #include "xauto/command.h"
 #include "xauto/gate.h"
@@ -57,10 +57,8 @@ std::string refused_by_check(const OneRunFlags& flags, const PolicyRun& run) {
                                                                      : checked.error().to_string();
   }
   if (!run.tables) return {};  // priorities claim nothing
-  // What is refuted at once. Bounds on all policies are no concern of a run.
-  const solver::VerifyOptions at_once{.executions = 100, .proof_nodes = 0, .schedules = 0};
   const std::vector<std::string> lies =
-      solver::verify_tables(flags.app, flags.spec, *run.tables, at_once).lies;
+      solver::keys::examine_tables(flags.app, flags.spec, *run.tables).lies;
   return lies.empty() ? "" : lies.front();
 }
 

@@ -165,11 +165,7 @@ ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index) {
   ScenarioCounts counts;
   counts.name = runtime::line_name(line.name);
   counts.table = runtime::line_name(line.table);
-  counts.worst_case_us = line.worst_case_us;
-  counts.allowed_us = line.allowed_us;
-  counts.over = line.over.load();
   counts.releases = line.releases.load();
-  counts.longest_us = line.longest_us.load();
   return counts;
 }
 
@@ -227,9 +223,6 @@ Counts counts_of(const runtime::Board& board) {
     counts.scenario->switches = header.switches.load();
     if (asked > 0 && asked <= shape.scenarios)
       counts.scenario->asked = runtime::line_name(board.scenario(asked - 1).name);
-    counts.whole.worst_case_us = counts.scenario->worst_case_us;
-    counts.whole.allowed_us = counts.scenario->allowed_us;
-    for (const ScenarioCounts& one : counts.scenarios) counts.whole.over += one.over;
     counts.spanned = spanned_of(board);
   }
   counts.claims = claims_of(board, counts);
@@ -261,7 +254,7 @@ Json spanned_json(const Counts& counts) {
                {"to", s.to},
                {"us", s.us},
                {"worst_case_us", s.worst_case_us > 0 ? Json(s.worst_case_us) : Json()}};
-  if (!s.chain.empty()) json["chain"] = s.chain;
+  json["chain"] = s.chain;
   return json;
 }
 

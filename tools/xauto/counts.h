@@ -72,16 +72,15 @@ struct XpuCounts {
 
 /// Of a run with tables: which one releases get now.
 struct ScenarioCounts {
-  std::string name, table, why, asked;   ///< asked: by people; empty: nothing
-  std::uint64_t switches = 0;            ///< to another table
-  std::uint64_t releases = 0, over = 0;  ///< under this scenario; over: beyond allowed_us
-  std::int64_t longest_us = -1, worst_case_us = 0, allowed_us = 0;
+  std::string name, table, why, asked;  ///< asked: by people; empty: nothing
+  std::uint64_t switches = 0;           ///< to another table
+  std::uint64_t releases = 0;           ///< under this scenario
 };
 
 /// ... of all that met a change of the scenario, what was nearest to its worst case.
 struct SpannedCounts {
   std::string from, to;                    ///< scenarios
-  std::string chain;                       ///< of keys, whose result it is; empty: a whole release
+  std::string chain;                       ///< whose result it is
   std::int64_t us = 0, worst_case_us = 0;  ///< worst_case_us: 0: nothing is claimed
 };
 

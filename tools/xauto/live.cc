@@ -176,12 +176,7 @@ std::string claims_text(const Counts& counts) {
   const auto claim = [&](std::int64_t us) {
     return us == 0 ? "-" : (stands ? "" : "*") + in_ms(us);
   };
-  for (const ScenarioCounts& s : counts.scenarios)
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", "scenario '" + s.name + "'", "",
-                       in_ms(s.longest_us), claim(s.worst_case_us), "-");
-  const bool tables = !counts.scenarios.empty();
   for (const FlowCounts& chain : counts.chains) {
-    if (tables && chain.worst_case_us == 0) continue;  // what is claimed is of releases
     out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", chain.name, in_ms(chain.last_us),
                        in_ms(chain.longest_us), claim(chain.worst_case_us),
                        chain.lower_bound_us == 0 ? "-" : in_ms(chain.lower_bound_us));

@@ -149,23 +149,7 @@ void add_scenarios(Page& page, const Labels& of_run, const Counts& counts) {
     labels.emplace_back("table", s.table);
     page.gauge("xauto_scenario_active", "1: the scenario counts now.", labels,
                s.name == counts.scenario->name ? "1" : "0");
-    page.counter(
-        "xauto_scenario_releases_total",
-        "Releases under it; of tables of priorities those that met no change of the scenario.",
-        labels, s.releases);
-    if (s.worst_case_us > 0)  // of keys it is chains that something is claimed of
-      page.counter("xauto_scenario_over_worst_case_total",
-                   "... that took longer than what its table claims.", labels, s.over);
-    if (s.longest_us >= 0)
-      page.gauge("xauto_scenario_longest_latency_seconds", "Longest latency of these.", labels,
-                 seconds(s.longest_us));
-    if (!counts.claims.stands() || s.worst_case_us == 0) continue;
-    page.gauge("xauto_scenario_worst_case_seconds",
-               "Certified worst case; absent where nothing is claimed of this run.", labels,
-               seconds(s.worst_case_us));
-    if (s.longest_us >= 0)
-      page.gauge("xauto_scenario_slack_seconds", "Certified worst case less the longest latency.",
-                 labels, seconds(s.worst_case_us - s.longest_us));
+    page.counter("xauto_scenario_releases_total", "Releases under it.", labels, s.releases);
   }
 }
 

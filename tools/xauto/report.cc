@@ -282,9 +282,25 @@ std::string nearest_text(const runtime::RunReport& report) {
          "\n";
 }
 
-/// Of tables of keys: releases of all sources, each with its own clock's. What is claimed is of chains.
-std::string key_tables_text(const PolicyRun& run) {
-  const runtime::RunReport& report = run.report;
+/// The last changes.
+std::string changes_text(const runtime::RunReport& report) {
+  std::string out;
+  constexpr std::size_t kShown = 5;
+  const std::size_t first = report.switches.size() - std::min(kShown, report.switches.size());
+  for (std::size_t i = first; i < report.switches.size(); ++i) {
+    const runtime::SwitchReport& s = report.switches[i];
+    out += fmt::format("  release {}: '{}', table '{}' ({}){}{}\n", s.release, s.to, s.table, s.why,
+                       s.detail.empty() ? "" : ": " + s.detail,
+                       s.held_us == 0 ? ""
+                                      : fmt::format("; nothing was released for {} ms, while it "
+                                                    "drained",
+                                                    in_ms(s.held_us, 1)));
+  }
+  return out;
+}
+
+/// Releases of all sources, each with its own clock's. What is claimed is of chains.
+std::string tables_text(const runtime::RunReport& report) {
   std::size_t width = 8;
   for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
   std::string out =
@@ -295,50 +311,7 @@ std::string key_tables_text(const PolicyRun& run) {
   return out +
          fmt::format("\n  {} change{} of the scenario\n", report.num_switches,
                      report.num_switches == 1 ? "" : "s") +
-         nearest_text(report);
-}
-
-std::string drained_text(const runtime::SwitchReport& change, bool by_keys) {
-  if (!by_keys || change.held_us == 0) return {};
-  return fmt::format("; nothing was released for {} ms, while it drained",
-                     in_ms(change.held_us, 1));
-}
-
-/// The last changes.
-std::string changes_text(const runtime::RunReport& report, bool by_keys) {
-  std::string out;
-  constexpr std::size_t kShown = 5;
-  const std::size_t first = report.switches.size() - std::min(kShown, report.switches.size());
-  for (std::size_t i = first; i < report.switches.size(); ++i) {
-    const runtime::SwitchReport& s = report.switches[i];
-    out += fmt::format("  release {}: '{}', table '{}' ({}){}{}\n", s.release, s.to, s.table, s.why,
-                       s.detail.empty() ? "" : ": " + s.detail, drained_text(s, by_keys));
-  }
-  return out;
-}
-
-std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims) {
-  const runtime::RunReport& report = run.report;
-  if (!run.tables->keys.empty()) return key_tables_text(run) + changes_text(report, true);
-  std::size_t width = 8;
-  for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
-  std::string out = fmt::format("\n  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", "scenario", width,
-                                "table", "releases", "longest", "worst case");
-  for (const runtime::ScenarioReport& s : report.scenarios)
-    if (s.releases > 0)
-      out += fmt::format("  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", s.name, width, s.table, s.releases,
-                         in_ms(s.longest_us, s.releases), in_ms(s.worst_case_us, 1));
-  std::int64_t held_us = 0;
-  for (const runtime::SwitchReport& s : report.switches) held_us = std::max(held_us, s.held_us);
-  out += fmt::format("\n  {} change{} of the scenario", report.num_switches,
-                     report.num_switches == 1 ? "" : "s");
-  if (report.num_switches > 0)
-    out +=
-        fmt::format("; a release waited at most {} ms for what was in flight", in_ms(held_us, 1));
-  out += "\n";
-  return out + nearest_text(report) + changes_text(report, false) +
-         fmt::format("  {}: {}\n", run.name,
-                     to_string(claims, taken_from(report, kEmulatorUs), Layout::kList));
+         nearest_text(report) + changes_text(report);
 }
 
 }  // namespace
@@ -541,7 +514,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
           "  {}: {}: {} suspensions, longest call {} us, longest that resumed {} us; preempt_us "
           "{}\n",
           run.name, of.xpu, of.suspensions, of.suspend_us, of.resume_us, of.preempt_us);
-    if (const auto of_tables = table_claims_of(flags, run)) out += tables_text(run, *of_tables);
+    if (run.tables) out += tables_text(run.report);
     if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
@@ -619,8 +592,7 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
     scene.tables = &*run.tables;
     scene.claims = claimed_chains(run);
     for (const runtime::ScenarioReport& s : run.report.scenarios)
-      scene.scenarios.push_back(
-          {s.name, s.table, s.releases, s.longest_us, s.worst_case_us > 0 ? s.worst_case_us : -1});
+      scene.scenarios.push_back({s.name, s.table, s.releases});
     for (const runtime::SwitchReport& s : run.report.switches)
       scene.changes.push_back(
           {s.release, s.from, s.to, s.chain, s.spanned_us, s.worst_case_us.value_or(-1)});

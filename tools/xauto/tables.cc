@@ -12,7 +12,7 @@
 #include "model/drain.h"
 #include "model/json.h"
 #include "model/json_value.h"
-#include "solver/verify_tables.h"
+#include "solver/keys/check_tables.h"
 
 #include "xauto/outputs.h"
 #include "xauto/rare_wcets.h"
@@ -25,17 +25,6 @@ double regret_of(const Served& served) {
          static_cast<double>(std::max<std::int64_t>(1, served.lower_bound_us));
 }
 
-/// A release that takes so long, by tables of priorities. Of those of keys each chain is judged: missed_chains().
-bool misses(const AppSpec& app, std::int64_t release_us) {
-  return app.one_at_a_time && release_us > time_for_a_release(app).value_or(kMaxTimeUs);
-}
-bool misses(const AppSpec& app, const Served& served) {
-  return misses(app, served.worst_case_us);
-}
-bool misses(const AppSpec& app, const Change& change) {
-  return misses(app, change.worst_case_us.value_or(0));
-}
-
 /// "from 'a' to 'b': brake: 81.00 of 80.00 ms", of what is beyond a chain's deadline.
 std::vector<std::string> missed_chains(const AppSpec& app, const Tables& tables) {
   std::vector<std::string> missed;
@@ -46,12 +35,13 @@ std::vector<std::string> missed_chains(const AppSpec& app, const Tables& tables)
       missed.push_back(what + ": " + app.chains[chain].name + ": " + ms(*us) + " of " +
                        ms(*deadline));
   };
-  for (std::size_t t = 0; t < tables.keys.size(); ++t)
-    for (std::size_t c = 0; c < app.chains.size(); ++c) {
-      const ChainClaim& claim = tables.keys[t].chains[c];
-      judge("'" + tables.tables[t].name + "'", c, claim.worst_case_us);
-      judge("'" + tables.tables[t].name + "', urgent", c, claim.urgent_worst_case_us);
-    }
+  for (std::size_t t = 0; t < tables.tables.size(); ++t)
+    for (std::size_t c = 0; c < app.chains.size(); ++c)
+      judge("'" + tables.tables[t].name + "', urgent", c,
+            tables.tables[t].keys.chains[c].urgent_worst_case_us);
+  for (std::size_t s = 0; s < tables.serves.size(); ++s)
+    for (std::size_t c = 0; c < app.chains.size(); ++c)
+      judge("'" + tables.scenarios[s].name + "'", c, tables.serves[s].chain_worst_us[c]);
   for (const Handover& h : tables.handovers)
     for (std::size_t c = 0; c < app.chains.size(); ++c)
       judge("from '" + tables.tables[static_cast<std::size_t>(h.from)].name + "' to '" +
@@ -76,7 +66,7 @@ void print_chains(const AppSpec& app, const Platform& platform, const Tables& ta
     std::printf("  %-*s %12s", static_cast<int>(width), app.chains[c].name.c_str(),
                 deadline ? ms(*deadline).c_str() : "-");
     for (std::size_t t = 0; t < tables.tables.size(); ++t) {
-      const std::int64_t us = tables.keys[t].chains[c].worst_case_us;
+      const std::int64_t us = tables.tables[t].keys.chains[c].worst_case_us;
       std::printf(" %*s", column(tables.tables[t]), us == kNotThere ? "off" : ms(us).c_str());
     }
     std::optional<std::int64_t> most = 0;
@@ -109,18 +99,16 @@ void print_chains(const AppSpec& app, const Platform& platform, const Tables& ta
     std::printf("  MISSES THE DEADLINE: %s\n", missed.c_str());
 }
 
-/// All that the table serves keeps its deadlines; of priorities those of a release.
+/// All that the table serves keeps its deadlines.
 bool in_time(const Tables& tables, std::size_t table, const AppSpec& app) {
-  if (tables.keys.empty())
-    return std::none_of(tables.serves.begin(), tables.serves.end(), [&](const Served& served) {
-      return served.table == static_cast<int>(table) &&
-             served.worst_case_us > time_for_a_release(app).value_or(0);
-    });
-  for (std::size_t c = 0; c < app.chains.size(); ++c) {
-    const ChainClaim& claim = tables.keys[table].chains[c];
-    if (std::max(claim.worst_case_us, claim.urgent_worst_case_us.value_or(0)) >
-        app.chains[c].deadline_us.value_or(kMaxTimeUs))
-      return false;
+  for (const Served& served : tables.serves) {
+    if (served.table != static_cast<int>(table)) continue;
+    for (std::size_t c = 0; c < app.chains.size(); ++c) {
+      const ChainClaim& claim = tables.tables[table].keys.chains[c];
+      if (std::max(served.chain_worst_us[c], claim.urgent_worst_case_us.value_or(0)) >
+          app.chains[c].deadline_us.value_or(kMaxTimeUs))
+        return false;
+    }
   }
   return true;
 }
@@ -143,7 +131,6 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
   std::printf("%s on %s: %zu scenarios, %zu table%s, %.2f s\n\n", app.name.c_str(),
               tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
               static_cast<double>(tables.solve_ms) / 1000);
-  const bool by_keys = !tables.keys.empty();
   const bool deadlines = std::any_of(app.chains.begin(), app.chains.end(),
                                      [](const ChainSpec& c) { return c.deadline_us.has_value(); });
   std::printf("  %-*s  %-*s %12s %12s %8s\n", static_cast<int>(width), "scenario",
@@ -152,29 +139,22 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const Served& served = tables.serves[s];
     if (regret_of(served) > regret_of(tables.serves[worst])) worst = s;
-    std::printf("  %-*s  %-*s %12s %12s %8.3f%s\n", static_cast<int>(width),
+    std::printf("  %-*s  %-*s %12s %12s %8.3f\n", static_cast<int>(width),
                 tables.scenarios[s].name.c_str(), static_cast<int>(table_width),
                 tables.tables[static_cast<std::size_t>(served.table)].name.c_str(),
                 ms(served.worst_case_us).c_str(), ms(served.lower_bound_us).c_str(),
-                regret_of(served), misses(app, served) ? "  MISSES THE DEADLINE" : "");
-  }
-  const Change* longest = nullptr;
-  std::size_t without = 0;
-  for (const Change& change : tables.changes) {
-    if (!change.worst_case_us)
-      ++without;
-    else if (longest == nullptr || *change.worst_case_us > *longest->worst_case_us)
-      longest = &change;
+                regret_of(served));
   }
   std::printf(
       "\n  worst regret %.3f, under '%s'.%s Each worst case is certified, of %s, at the scenario's "
-      "times and below; each bound is proven%s.%s\n",
+      "times and below; each bound is proven, of policies of keys.%s\n",
       tables.worst_regret(), tables.scenarios[worst].name.c_str(),
-      !by_keys    ? ""
-      : deadlines ? " Told is the chain that is worst off relative to its deadline, and what that "
-                    "comes to in any policy of keys."
-                  : " Told is the sum over all chains: none has a deadline.",
-      by_keys ? kKeyScope : kWorstCaseScope, by_keys ? ", of policies of keys" : "",
+      deadlines
+          ? " Told is the chain that is worst off relative to its deadline, and what that comes to "
+            "in any policy of keys."
+      : app.one_at_a_time ? " Told is the longest chain: none has a deadline."
+                          : " Told is the sum over all chains: none has a deadline.",
+      scope_of(app.one_at_a_time),
       tables.worst_regret() <= 1 ? ""
       : tried_all                ? " As few tables cannot do better: every one was tried."
                                  : " That as few tables cannot do better is not.");
@@ -200,29 +180,18 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
   }
   std::printf("  Memory of all instances: %s.\n",
               memory_text(memory_of_instances(tables, app, platform), instances(tables)).c_str());
-  if (by_keys) print_chains(app, platform, tables);
-  if (longest != nullptr)
-    std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
-                ms(*longest->worst_case_us).c_str(),
-                misses(app, *longest) ? ", which MISSES THE DEADLINE" : "");
-  if (without > 0)
-    std::printf(
-        "  In %zu of %zu changes it may need an XPU that is lost: nothing is claimed of it then.\n",
-        without, tables.changes.size());
+  print_chains(app, platform, tables);
 }
 
 bool any_missed(const AppSpec& app, const Tables& tables) {
-  const auto late = [&](const auto& of) { return misses(app, of); };
-  return std::any_of(tables.serves.begin(), tables.serves.end(), late) ||
-         std::any_of(tables.changes.begin(), tables.changes.end(), late) ||
-         !missed_chains(app, tables).empty();
+  return !missed_chains(app, tables).empty();
 }
 
 /// The app's own, in whose steps the scenarios' times are counted, on a type where a table has the XNode.
 std::vector<RareWcet> rare_in(const AppSpec& app, const Platform& platform, const Tables& tables) {
   return rare_wcets(app, [&](int xnode, const std::string& type) {
     return std::any_of(tables.tables.begin(), tables.tables.end(), [&](const Table& table) {
-      const int xpu = table.xpu[static_cast<std::size_t>(xnode)];
+      const int xpu = table.xpu(static_cast<std::size_t>(xnode));
       return xpu >= 0 && platform.xpus[static_cast<std::size_t>(xpu)].type == type;
     });
   });
@@ -280,20 +249,10 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
 }
 
 Result<int> check_tables(const AppSpec& app, const Platform& platform, const std::string& path,
-                         const solver::VerifyOptions& asked, const Options& options) {
+                         const Options& options) {
   XAUTO_ASSIGN(const Tables tables, load_tables(path, app, platform));
-  const solver::TablesVerification v = solver::verify_tables(app, platform, tables, asked);
-  std::vector<std::string> missed = missed_chains(app, tables);
-  for (std::size_t s = 0; s < tables.serves.size(); ++s)
-    if (misses(app, tables.serves[s]))
-      missed.push_back("scenario '" + tables.scenarios[s].name + "': " +
-                       ms(tables.serves[s].worst_case_us) + " of " + ms(*time_for_a_release(app)));
-  for (const Change& change : tables.changes)
-    if (misses(app, change))
-      missed.push_back("change from '" +
-                       tables.scenarios[static_cast<std::size_t>(change.from)].name + "' to '" +
-                       tables.scenarios[static_cast<std::size_t>(change.to)].name +
-                       "': " + ms(*change.worst_case_us) + " of " + ms(*time_for_a_release(app)));
+  const solver::keys::TablesReport v = solver::keys::examine_tables(app, platform, tables);
+  const std::vector<std::string> missed = missed_chains(app, tables);
   const int status = v.truthful() && missed.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
     std::cout << Json{{"schema", "xauto.check"},  {"version", 1},

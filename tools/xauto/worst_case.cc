@@ -29,10 +29,10 @@ bool claims_nothing(const PolicyRun& run) {
 std::vector<ChainClaim> claimed_chains(const PolicyRun& run) {
   if (run.keys) return run.keys->chains;
   std::vector<ChainClaim> claims;
-  if (!run.tables || run.tables->keys.empty()) return claims;
+  if (!run.tables) return claims;
   const std::vector<std::int64_t> largest_us = largest_claims(*run.tables);
   for (std::size_t c = 0; c < largest_us.size(); ++c)
-    claims.push_back({run.tables->keys.front().chains[c].name, largest_us[c], 0, false});
+    claims.push_back({run.tables->tables.front().keys.chains[c].name, largest_us[c], 0, false});
   return claims;
 }
 
@@ -93,7 +93,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
 
 std::optional<runtime::TableClaims> table_claims_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.tables) return std::nullopt;
-  return runtime::table_claims_of(run.report, flags.emulates(), !run.tables->keys.empty());
+  return runtime::table_claims_of(run.report, flags.app.one_at_a_time);
 }
 
 std::string to_string(const runtime::TableClaims& claims, const std::vector<std::string>& taken,

@@ -24,6 +24,8 @@
 #include "model/json_value.h"
 #include "model/periodic.h"
 
+#include "tests/unit/tables_of.h"
+
 namespace xauto {
 namespace {
 
@@ -174,9 +176,10 @@ class WithTables : public Fixture {
     tables.platform = platform.name;
     tables.scenarios = {{.name = "city", .when = when},
                         {.name = "highway", .wcet_scale_pct = {{"cpu", 200}, {"gpu", 200}}}};
-    tables.tables = {{"near", {2, 0}, {2, 1}, {}}, {"far", {2, 1}, {2, 1}, {}}};
-    tables.serves = {{0, 2 * wcet_us, 2 * wcet_us}, {1, 4 * wcet_us, 4 * wcet_us}};
-    tables.changes = {{0, 1, 4 * wcet_us}, {1, 0, 4 * wcet_us}};
+    tables.tables = {test::table_of(spec, "near", {2, 0}, {wcet_us, 2 * wcet_us}),
+                     test::table_of(spec, "far", {2, 1}, {2 * wcet_us, 4 * wcet_us})};
+    for (const int table : {0, 1}) test::serve(tables, spec, table);
+    for (const int from : {0, 1}) tables.handovers.push_back({from, 1 - from, {4 * wcet_us}});
     text = to_json(tables, spec, platform);
     with_tables = RunOptions()
                       .app(to_json(spec))
@@ -280,13 +283,11 @@ RunOptions with_tables_of_keys(std::int64_t settles_us,
   tables.scenarios = {{.name = "city"},
                       {.name = "highway", .wcet_scale_pct = {{"cpu", 200}, {"gpu", 200}}}};
   if (loses_a_cpu) tables.scenarios[1].lost = {"cpu0"};
-  tables.tables = {{"near", {2, 0}, {0, 0}, {}}, {"far", {2, 1}, {0, 0}, {}}};
   for (const int times : {1, 2}) {
-    Policy keys;
-    keys.placements = {{2, {(times + 1) * wcet_us}}, {times - 1, {(2 * times + 1) * wcet_us}}};
-    keys.chains = {{"all", 30'000'000, 0, false}};
-    tables.keys.push_back(keys);
-    tables.serves.push_back({times - 1, 0, 0, {1000}});
+    tables.tables.push_back(test::table_of(spec, times == 1 ? "near" : "far", {2, times - 1},
+                                           {(times + 1) * wcet_us, (2 * times + 1) * wcet_us}));
+    tables.tables.back().keys.chains[0].worst_case_us = 30'000'000;
+    test::serve(tables, spec, times - 1);
   }
   for (const int from : {0, 1})
     tables.handovers.push_back({from, 1 - from, {of_change_us}, settles_us});

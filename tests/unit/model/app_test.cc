@@ -8,6 +8,8 @@
 #include "model/profile.h"
 #include "model/tables.h"
 
+#include "tests/unit/tables_of.h"
+
 namespace xauto {
 namespace {
 
@@ -215,8 +217,8 @@ TEST(Tables, TheMemoryOfAllInstancesCountsEachOnce) {
   app.xnodes[0].memory_kb = {{"cpu", 100}, {"gpu", 3000}};
   app.xnodes[0].variants = {{"small", 50, {{"cpu", 1}}, {{"cpu", 20}}}};
   Tables tables;
-  const auto table = [](std::vector<int> xpu, Loss loss = {}) {
-    return Table{"t", std::move(xpu), {1, 2}, {}, std::move(loss)};
+  const auto table = [&](const std::vector<int>& xpu, Loss loss = {}) {
+    return test::table_of(app, "t", xpu, {1, 2}, std::move(loss));
   };
   tables.tables = {table({cpu0, cpu0}), table({gpu0, cpu0}), table({cpu0, cpu1})};
   const auto memory = [&] { return memory_of_instances(tables, app, platform); };

@@ -6,6 +6,7 @@
 #include "model/json.h"
 
 #include "../golden_cases.h"
+#include "tests/unit/tables_of.h"
 
 namespace xauto {
 namespace {
@@ -220,10 +221,13 @@ TEST(Golden, ScenariosAndTablesAreWrittenAsTheyWereRead) {
   ASSERT_TRUE(tables) << tables.error().to_string();
   EXPECT_EQ(to_json(*tables, app, platform), written);
   EXPECT_EQ(tables->scenarios, scenarios->list);
-  EXPECT_EQ(tables->serves[2], (Served{1, 17500, 10150}));
+  EXPECT_EQ(tables->serves[0], (Served{0, {13400, 2500}, {9400, 2500}, 13400, 9400}));
+  EXPECT_EQ(tables->serves[1], (Served{0, {13900, 2500}, {9900, 2500}, 13900, 13900}))
+      << "more is proven of the release than of its chains";
+  EXPECT_EQ(tables->serves[2], (Served{1, {13750, 17500}, {10150, 3750}, 17500, 10150}));
   EXPECT_DOUBLE_EQ(tables->worst_regret(), 17500.0 / 10150);
-  EXPECT_EQ(tables->changes[1], (Change{0, 2, {}}));
-  EXPECT_EQ(tables->changes[4], (Change{2, 0, 17500}));
+  EXPECT_EQ(handover_of(*tables, 0, 1)->worst_case_us[0], std::nullopt);
+  EXPECT_EQ(handover_of(*tables, 1, 0)->worst_case_us[1], 22190);
   const Scenario both = across(app, tables->scenarios[1], tables->scenarios[2]);
   EXPECT_EQ(app_under(app, both).xnodes[0].wcet_us,
             (decltype(slow.xnodes[0].wcet_us){{"cpu", 4500}, {"gpu", 1400}}));
@@ -275,7 +279,7 @@ TEST(Golden, EveryMalformedSetOfScenariosOrTablesIsRefusedWithItsMessage) {
   every_case("scenarios", 14, [&](const std::string& text, const std::string& name) {
     return parse_scenarios(text, name, app, platform);
   });
-  every_case("tables", 20, [&](const std::string& text, const std::string& name) {
+  every_case("tables", 17, [&](const std::string& text, const std::string& name) {
     return parse_tables(text, name, app, platform);
   });
 }
@@ -312,19 +316,20 @@ TEST(Golden, TablesOfKeysAreWrittenAsTheyWereRead) {
   ASSERT_TRUE(tables) << tables.error().to_string();
   EXPECT_EQ(to_json(*tables, app, platform), text);
   // Of the one chain that has a deadline.
-  EXPECT_EQ(tables->serves[2], (Served{1, 37500, 11370, {11370, 25501}}));
+  EXPECT_EQ(tables->serves[2], (Served{1, {37500, 25501}, {11370, 25501}, 37500, 11370}));
   EXPECT_DOUBLE_EQ(tables->worst_regret(), 34500.0 / 9000);
   const Scenario all = envelope(*tables, 1, app);
   EXPECT_EQ(app_under(app, all).xnodes[1].wcet_on("gpu"), 9100) << "the longest that it serves";
   EXPECT_EQ(keys_under(*tables, 1, app, platform, all).app_hash, app_under(app, all).hash());
-  EXPECT_GT(tables->tables[0].priority[4], tables->tables[0].priority[2]) << "its key is smaller";
+  const PriorityPlan near = whole_policy(*tables, 0, app, platform);
+  EXPECT_GT(near.placements[4].priority, near.placements[2].priority) << "its key is smaller";
   EXPECT_EQ(tables->handovers[0].worst_case_us,
             (std::vector<std::optional<std::int64_t>>{51000, std::nullopt}));
   // What is off is on no XPU, and its chain is not there.
   EXPECT_EQ(words_of(tables->tables[2].loss, app), "LA off, fcd.infer half");
-  EXPECT_EQ(tables->tables[2].xpu[3], -1);
-  EXPECT_EQ(tables->keys[2].chains[1].worst_case_us, kNotThere);
-  EXPECT_EQ(tables->serves[3], (Served{2, 37500, 13000, {13000, kNotThere}}));
+  EXPECT_EQ(tables->tables[2].xpu(3), -1);
+  EXPECT_EQ(tables->tables[2].keys.chains[1].worst_case_us, kNotThere);
+  EXPECT_EQ(tables->serves[3], (Served{2, {37500, kNotThere}, {13000, kNotThere}, 37500, 13000}));
   EXPECT_EQ(tables->handovers[1].worst_case_us,
             (std::vector<std::optional<std::int64_t>>{52000, kNotThere}));
   EXPECT_TRUE(tables->handovers[1].claims_all());
@@ -336,28 +341,6 @@ TEST(Golden, TablesOfKeysAreWrittenAsTheyWereRead) {
   EXPECT_EQ(left.chains.size(), 1u);
   EXPECT_EQ(keys_under(*tables, 2, app, platform, hot).placements[3].xpu,
             static_cast<int>(platform.xpus.size()));
-}
-
-// The app says which of the two a file of tables is.
-TEST(Golden, TablesHaveKeysWhereSourcesHaveRatesAndPrioritiesElsewhere) {
-  const AppSpec rates = app_with_rates(), once = golden_app();
-  const Platform platform = golden_platform();
-  Tables keys =
-      parse_tables(slurp(golden() / "tables-keys.json"), "tables-keys.json", rates, platform)
-          .value();
-  Tables priorities =
-      parse_tables(slurp(golden() / "tables.json"), "tables.json", once, platform).value();
-  EXPECT_EQ(time_for_a_release(once), 100000);
-  std::swap(keys.keys, priorities.keys);
-  for (const Status& refused :
-       {validate(keys, rates, platform), validate(priorities, once, platform)}) {
-    ASSERT_FALSE(refused);
-    EXPECT_EQ(refused.error().where, "/tables") << refused.error().to_string();
-    EXPECT_EQ(refused.error().hint, "solve again");
-  }
-  AppSpec sooner = once;
-  sooner.chains[1].deadline_us = 70;
-  EXPECT_EQ(time_for_a_release(sooner), 70) << "the least of its deadlines";
 }
 
 TEST(Golden, EveryMalformedFileOfTablesOfKeysIsRefusedWithItsMessage) {

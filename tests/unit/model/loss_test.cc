@@ -8,6 +8,8 @@
 #include "model/profile.h"
 #include "model/tables.h"
 
+#include "tests/unit/tables_of.h"
+
 namespace xauto {
 namespace {
 
@@ -51,10 +53,12 @@ Tables tables_of(const AppSpec& app) {
   tables.scenarios = {{"as it is"}, {"slow", {{"gpu", 300}}}};
   tables.scenarios[1].degraded = true;
   tables.scenarios[1].variant_wcet_us = {{"see.b", {{"small", {{"gpu", 333}}}}}};
-  tables.tables = {{"all", {0, 1, 0, 1, 0}, {5, 4, 3, 2, 1}, {}, {}},
-                   {"less", {0, 1, 0, -1, -1}, {5, 4, 3, 0, 0}, {{0, 2}}, {}}};
-  tables.tables[1].loss = {{-1, 0, -1, -1, -1}, {"log", "show"}};
-  tables.serves = {{0, 900, 500}, {1, 700, 600}};
+  tables.tables = {test::table_of(app, "all", {0, 1, 0, 1, 0}, {100, 400, 450, 500, 570}),
+                   test::table_of(app, "less", {0, 1, 0, -1, -1}, {100, 433, 483, 434, 435},
+                                  {{-1, 0, -1, -1, -1}, {"log", "show"}})};
+  tables.tables[1].keys.order = {{0, 2}};
+  test::serve(tables, app, 0, 500);
+  test::serve(tables, app, 1, 400);
   return tables;
 }
 
@@ -64,9 +68,13 @@ TEST(Loss, WhatIsLeftHasTheVariantsTimesAndNoModuleThatIsOff) {
   const Loss loss{{-1, 1, -1, -1, -1}, {"log"}};
   ASSERT_TRUE(validate(loss, app, "/t"));
   EXPECT_EQ(kept(app, loss), (std::vector<int>{0, 1, 2, 3}));
-  const AppSpec left = app_with(app, loss);
+  const AppSpec all = app_with(app, loss), left = release_of(app, loss);
+  ASSERT_EQ(all.xnodes.size(), 5u);
+  EXPECT_EQ(all.xnodes[4].wcet_on(off_xpu("log")), 1) << "so that its component stays what it is";
+  EXPECT_EQ(all.chains.size(), 2u) << "to act and to show; that to log is off";
   ASSERT_TRUE(validate_graph(left)) << validate_graph(left).error().to_string();
   ASSERT_EQ(left.xnodes.size(), 4u);
+  EXPECT_TRUE(left.chains.empty());
   EXPECT_EQ(left.xnodes[0], app.xnodes[0]);
   EXPECT_EQ(left.xnodes[1].wcet_us, app.xnodes[1].variants[1].wcet_us);
   EXPECT_EQ(left.xnodes[3].name, "show.draw");
@@ -240,8 +248,9 @@ TEST(Loss, ProfilesThatMakeNoSenseAreRefused) {
 TEST(Loss, ATableIsAPolicyOfWhatIsLeft) {
   const AppSpec app = app_of();
   const Tables tables = tables_of(app);
-  const PriorityPlan less = policy_under(tables.tables[1], app, platform_of(), tables.scenarios[1]);
-  EXPECT_EQ(less.placements.size(), 3u);
+  const Policy less = keys_under(tables, 1, app, platform_of(), tables.scenarios[1]);
+  EXPECT_EQ(less.placements.size(), 5u);
+  EXPECT_EQ(less.placements[3].xpu, 3) << "on an XPU of its own, after log's";
   EXPECT_EQ(less.order, (std::vector<std::pair<int, int>>{{0, 2}}));
   const PriorityPlan whole = whole_policy(tables, 1, app, platform_of());
   ASSERT_EQ(whole.placements.size(), 5u);
@@ -254,7 +263,7 @@ TEST(Loss, InstancesAreMadeByXNodeVariantAndXpu) {
   Tables tables = tables_of(app);
   EXPECT_EQ(instances(tables), 6u) << "five, and one of them as its variant, too";
   EXPECT_EQ(moves(tables.tables[0], tables.tables[1]), 1u) << "what is off moves nowhere";
-  tables.tables[1].xpu[0] = 1;
+  tables.tables[1].keys.placements[0].xpu = 1;
   EXPECT_EQ(instances(tables), 7u);
   EXPECT_EQ(moves(tables.tables[0], tables.tables[1]), 2u);
 }
@@ -274,17 +283,19 @@ TEST(Loss, ATableWithOneIsRefusedWhereItIsNotAllowed) {
   EXPECT_EQ(error([](Tables& t) { t.scenarios[0].degraded = true; }),
             "/scenarios/0/degraded: a run begins with it, so it cannot be degraded\n"
             "  hint: put a scenario before it in which nothing is lost");
-  EXPECT_EQ(error([](Tables& t) { t.tables[1].xpu[3] = 0; }),
+  EXPECT_EQ(error([](Tables& t) { t.tables[1].keys.placements[3].xpu = 0; }),
             "/tables/1/xnodes: XNode 'show.draw' is placed, and its module is off");
-  EXPECT_EQ(error([](Tables& t) { t.tables[1].xpu[2] = -1; }),
+  EXPECT_EQ(error([](Tables& t) { t.tables[1].keys.placements[2].xpu = -1; }),
             "/tables/1/xnodes: XNode 'act' is not placed");
   EXPECT_EQ(error([](Tables& t) {
-              t.tables[1].order = {{2, 4}};
+              t.tables[1].keys.order = {{2, 4}};
             }),
-            "/tables/1/order: names XNode 'log', whose module is off");
+            "/tables/1/order/0: 'act' before 'log': they are on different XPUs\n"
+            "  hint: run-time order is between XNodes of one XPU")
+      << "what is off is alone on its own";
   EXPECT_NE(error([](Tables& t) {
               t.tables[1].loss.variant[1] = 1;
-              t.tables[1].xpu[1] = 0;
+              t.tables[1].keys.placements[1].xpu = 0;
             }),
             "")
       << "that variant has no implementation there";

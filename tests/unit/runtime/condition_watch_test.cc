@@ -17,6 +17,7 @@
 #include <stdlib.h>
 
 #include "../no_more_threads.h"
+#include "tests/unit/tables_of.h"
 
 namespace xauto::runtime {
 namespace {
@@ -50,12 +51,14 @@ class Points {
   explicit Points(const std::vector<Point>& points) {
     app.xnodes.push_back({"a", "m", {{"gpu", 1000}}});
     app.xnodes[0].variants = {{"small", 50, {{"gpu", 400}}}};
-    tables.tables = {{"whole", {0}, {1}, {}}, {"small", {0}, {1}, {}, {{0}, {}}}};
+    tables.tables = {test::table_of(app, "whole", {0}, {1000}),
+                     test::table_of(app, "small", {0}, {1000}, {{0}, {}})};
     for (const Point& point : points) {
       Scenario scenario{std::to_string(point.pct) + " %", {{"gpu", point.pct}}};
       scenario.when = point.when;
       tables.scenarios.push_back(scenario);
-      tables.serves.push_back({point.loses ? 1 : 0, point.worst_case_us, 1});
+      test::serve(tables, app, point.loses ? 1 : 0);
+      tables.serves.back().worst_case_us = point.worst_case_us;
     }
   }
   [[nodiscard]] MachineState in(const Files& files) const {
@@ -175,8 +178,7 @@ TEST(Conditions, OfThoseThatNoOtherCoversTheOneThatIsPassedByLeast) {
   points.app.xnodes.push_back({"b", "m", {{"cpu", 1000}}});
   points.tables.scenarios[2].wcet_scale_pct["cpu"] = 200;
   for (Table& table : points.tables.tables) {
-    table.xpu.push_back(1);
-    table.priority.push_back(1);
+    table.keys.placements.push_back({1, {1000}});
     if (!table.loss.variant.empty()) table.loss.variant.push_back(-1);
   }
   Files files;
@@ -202,8 +204,8 @@ class Watched : public testing::Test {
     folder_ = mkdtemp(path.data());
     put("900");
     tables_.scenarios = {when({{file(), 900, {}, {}}})};
-    tables_.tables = {{"one", {}, {}, {}}};
-    tables_.serves = {{0, 10, 1}};
+    tables_.tables = {test::table_of({}, "one", {}, {})};
+    test::serve(tables_, {}, 0);
   }
   const ScenarioOrder& order() { return order_.emplace(AppSpec{}, tables_); }
   ~Watched() override { std::filesystem::remove_all(folder_); }

@@ -6,6 +6,7 @@
 #include "session/table_claims.h"
 
 #include "test_app.h"
+#include "tests/unit/tables_of.h"
 
 namespace xauto::runtime {
 namespace {
@@ -15,15 +16,17 @@ constexpr std::int64_t kMsec = 1'000'000;
 /// "nominal" and "cpu slow" have table 0, "npu slow" table 1, where b1 is on the CPU.
 Session cpu_or_npu_slow() {
   Session session = TestApp().session;
+  session.app.one_at_a_time = true;
   for (XNodeSpec& xnode : session.app.xnodes) xnode.wcet_us = {{"cpu", 2'000}, {"npu", 1'000}};
   Scenario cpu{"cpu slow"}, npu{"npu slow"};
   cpu.wcet_scale_pct["cpu"] = 300;
   npu.wcet_scale_pct["npu"] = 500;
   Tables tables;
   tables.scenarios = {Scenario{"nominal"}, cpu, npu};
-  tables.tables = {{"table 0", {0, 1, 1, 1}, {4, 3, 2, 1}, {}},
-                   {"table 1", {0, 1, 0, 1}, {4, 3, 2, 1}, {}}};
-  tables.serves = {{0, 9'000, 0}, {0, 20'000, 0}, {1, 30'000, 0}};
+  tables.tables = {
+      test::table_of(session.app, "table 0", {0, 1, 1, 1}, {5'000, 10'000, 15'000, 20'000}),
+      test::table_of(session.app, "table 1", {0, 1, 0, 1}, {7'000, 14'000, 21'000, 30'000})};
+  for (const int table : {0, 0, 1}) test::serve(tables, session.app, table);
   session.take_tables(std::move(tables));
   return session;
 }
@@ -40,9 +43,9 @@ TEST(ClaimedWcets, AScenarioClaimsSomethingOfJobsWithinItsOwn) {
   EXPECT_EQ(claimed.least(1, 1), 5 * kMsec) << "of the one that table 1 serves";
 }
 
-TEST(ClaimedWcets, ATableOfKeysClaimsSomethingOfJobsWithinAllThatItServes) {
+TEST(ClaimedWcets, AtARateATableClaimsSomethingOfJobsWithinAllThatItServes) {
   Session session = cpu_or_npu_slow();
-  session.keys.emplace();
+  session.app.one_at_a_time = false;
   const ClaimedWcets claimed(session);
   EXPECT_EQ(claimed.under(0, 0, 0), 6 * kMsec);
   EXPECT_EQ(claimed.under(1, 0, 0), 6 * kMsec);
@@ -66,6 +69,7 @@ class OverrunUnderTables : public ::testing::Test {
     for (XNodeSpec& xnode : app_.session.app.xnodes)
       xnode.wcet_us = {{"cpu", 60'000'000}, {"npu", 60'000'000}};
     app_.session.app.xnodes[0].wcet_us = {{"cpu", 2'000}};
+    app_.session.app.one_at_a_time = true;
     app_.session.deployment.tables.dwell_ms = 60'000;  // nobody goes back
     slow_.wcet_us["a1"] = {{"cpu", 20'000'000}};
   }
@@ -73,12 +77,13 @@ class OverrunUnderTables : public ::testing::Test {
   RunReport run(std::vector<Scenario> scenarios, std::uint64_t at, std::int64_t us) {
     Tables tables;
     tables.app = "test";
+    tables.tables = {test::table_of(app_.session.app, "table 0", {0, 1, 1, 1},
+                                    {60'000'000, 120'000'000, 180'000'000, 240'000'000})};
     for (const Scenario& scenario : scenarios) {
       (void)scenario;
-      tables.serves.push_back({0, 300'000'000, 0});
+      test::serve(tables, app_.session.app, 0);
     }
     tables.scenarios = std::move(scenarios);
-    tables.tables = {{"table 0", {0, 1, 1, 1}, {4, 3, 2, 1}, {}}};
     app_.session.take_tables(std::move(tables));
     app_.exec = [=](const std::string& node, std::uint64_t k) -> Status {
       if (node == "a1" && k == at) std::this_thread::sleep_for(std::chrono::microseconds(us));

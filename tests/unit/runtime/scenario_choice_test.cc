@@ -11,6 +11,8 @@
 
 #include "model/periodic.h"
 
+#include "tests/unit/tables_of.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -52,9 +54,13 @@ Tables five_scenarios() {
   half_both.wcet_scale_pct = {{"gpu", 200}, {"cpu", 200}};
   no_gpu.lost = {"gpu0"};
   tables.scenarios = {Scenario{"nominal"}, half_gpu, half_cpu, half_both, no_gpu};
-  tables.tables = {{"gpu", {1, 0}, {2, 1}, {}}, {"cpu", {0, 0}, {2, 1}, {}}};
-  tables.serves = {
-      {0, 2000, 2000}, {0, 3000, 3000}, {0, 3000, 3000}, {0, 4000, 4000}, {1, 5000, 5000}};
+  const AppSpec app = two_xnodes();
+  tables.tables = {test::table_of(app, "gpu", {1, 0}, {2000, 4000}),
+                   test::table_of(app, "cpu", {0, 0}, {4000, 5000})};
+  for (const int table : {0, 0, 0, 0, 1}) test::serve(tables, app, table);
+  for (const auto& [s, us] : {std::pair(0, 2000), {1, 3000}, {2, 3000}})
+    tables.serves[static_cast<std::size_t>(s)].chain_worst_us = {us};
+  set_figures(tables, app);
   return tables;
 }
 
@@ -110,8 +116,13 @@ class LossTest : public ChoiceTest {
     Scenario third{"a third", {{"gpu", 300}}};
     third.degraded = true;
     tables_.scenarios = {tables_.scenarios[kNominal], tables_.scenarios[kHalfGpu], third};
-    tables_.tables = {{"gpu", {1, 0}, {2, 1}, {}}, {"small", {1, 0}, {2, 1}, {}, {{0, -1}, {}}}};
-    tables_.serves = {{0, 2000, 2000}, {0, 3000, 3000}, {1, 1600, 1600}};
+    tables_.tables = {test::table_of(app_, "gpu", {1, 0}, {2000, 3000}),
+                      test::table_of(app_, "small", {1, 0}, {1200, 2200}, {{0, -1}, {}})};
+    tables_.serves.clear();
+    for (const int table : {0, 0, 1}) test::serve(tables_, app_, table);
+    tables_.serves[0].chain_worst_us = {2000};
+    tables_.serves[2].chain_worst_us = {1600};
+    set_figures(tables_, app_);
     ASSERT_TRUE(validate(tables_, app_, platform_))
         << validate(tables_, app_, platform_).error().to_string();
   }
@@ -179,10 +190,14 @@ TEST_F(LossTest, AVariantIsHeldAgainstItsOwnWcet) {
 
 TEST_F(LossTest, WhatIsOffTellsNothing) {
   app_.xnodes.push_back({"c", "n", {{"gpu", 100}}});
-  app_.modules = {{"n", 1, true}};
+  app_.xnodes.back().sources = {0};
+  app_.modules.push_back({"n", 1, true});
+  complete_chains(app_);
   tables_.app_hash = app_.hash();
-  tables_.tables[0] = {"gpu", {1, 0, 1}, {2, 1, 0}, {}};
-  tables_.tables[1] = {"small", {1, 0, -1}, {2, 1, 0}, {}, {{}, {"n"}}};
+  tables_.tables[0] = test::table_of(app_, "gpu", {1, 0, 1}, {2000, 3000, 2100});
+  tables_.tables[1] = test::table_of(app_, "small", {1, 0, -1}, {3000, 4000, 1}, {{}, {"n"}});
+  tables_.serves.clear();
+  for (const int table : {0, 0, 1}) test::serve(tables_, app_, table);
   ASSERT_TRUE(validate(tables_, app_, platform_));
   ScenarioChoice choice = make();
   choice.saw(1, 2, kDwell);

@@ -130,18 +130,20 @@ TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
 TEST_F(Fixture, AReleaseInWhoseTableItIsOffGoesByAndNobodyWaits) {
   const auto board = Board::local({1, 1});
   ASSERT_TRUE(board);
-  const auto put = [&](std::uint64_t release, std::uint32_t table) {
-    board->put_table(release, table);
+  const auto put = [&](std::uint64_t us, std::uint32_t table) { board->put_table(us, table); };
+  const auto message = [&](int input, std::uint64_t k) {  // of microsecond 1000 + k
+    module_->receive(input, {std::make_shared<const int>(0),
+                             static_cast<std::int64_t>(1'000'000 + 1000 * k), k});
   };
   const auto both = [&](std::uint64_t k) {
     message(0, k);
     message(1, k);
   };
   put(0, 0);
-  module_->read_tables(*board, {0, 1}, false);
+  module_->read_tables(*board, {0, 1});
   both(0);
   EXPECT_EQ(log(), " run0");
-  put(1, 1);
+  put(1001, 1);
   both(1);
   EXPECT_EQ(log(), "") << "in its turn: release 0 has not ended";
   module_->finish(only(), true);
@@ -154,7 +156,7 @@ TEST_F(Fixture, AReleaseInWhoseTableItIsOffGoesByAndNobodyWaits) {
   message(0, 4);
   message(1, 4);
   EXPECT_EQ(log(), " overrun3 skip3 tomb3 off4 skip4 tomb4");
-  put(5, 0);
+  put(1005, 0);
   both(5);
   EXPECT_EQ(log(), " run5");
   EXPECT_EQ(only().table(), 0u);

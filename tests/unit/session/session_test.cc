@@ -182,7 +182,6 @@ TEST(RunReport, EachFieldTravels) {
   report.modules = {{"m", true, 1, 2, 3, 4, 6, report.latencies_us, 5}};
   report.taken = {{"a child", 7}};
   report.not_watched = "no /proc";
-  report.over_changes = 8;
   report.xnodes = {{"m.x", 10, 20, 3, 2, 1, 30, 0, 0, 0, "m", 6, 7}};
   report.routes.resize(2);
   report.routes[0].deadline_us = 40;
@@ -235,26 +234,6 @@ TEST(RunReport, AnErrorTravels) {
   EXPECT_EQ(read.error().hint, "hint");
   EXPECT_EQ(parse_run_report(with(error_to_json(error), "code", "99")).error().what,
             "malformed answer of the app: code");
-}
-
-TEST(TableClaims, ChangesThatAreNoLongerListedAreJudged) {
-  RunReport report;
-  report.complete = true;
-  SwitchReport change;
-  change.from = "a";
-  change.to = "b";
-  change.spanned_us = 900;
-  change.worst_case_us = 1'000;
-  report.switches = {change};
-  report.num_switches = 5'000;
-  EXPECT_TRUE(table_claims_of(report, false, false).exceeded.empty());
-  report.over_changes = 3;
-  EXPECT_EQ(table_claims_of(*parse_run_report(to_json(report)), false, false).exceeded,
-            std::vector<std::string>{"3 changes of the scenario before the last 1"});
-  report.switches[0].spanned_us = 1'100;  // one of the three
-  ASSERT_EQ(table_claims_of(report, false, false).exceeded.size(), 2U);
-  EXPECT_EQ(table_claims_of(report, false, false).exceeded[1],
-            "2 changes of the scenario before the last 1");
 }
 
 }  // namespace

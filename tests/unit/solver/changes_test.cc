@@ -8,8 +8,8 @@
 
 #include "base/index.h"
 #include "model/json.h"
+#include "solver/keys/check_tables.h"
 #include "solver/keys/key_tables.h"
-#include "solver/verify_tables.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -30,11 +30,10 @@ Tables with_change(std::optional<std::int64_t> a, std::optional<std::int64_t> b,
                    std::optional<std::int64_t> c, std::int64_t settles_us = 0) {
   Tables tables;
   for (int t = 0; t < 2; ++t) {
-    tables.tables.push_back({"t", {0}, {0}});
-    tables.keys.emplace_back();
-    tables.keys.back().chains = {{"a", 8000}, {"b", 12'000}, {"c", 8000}};
+    tables.tables.emplace_back();
+    tables.tables.back().keys.chains = {{"a", 8000}, {"b", 12'000}, {"c", 8000}};
     tables.scenarios.emplace_back();
-    tables.serves.push_back({t, 0, 0, {}});
+    tables.serves.push_back({t});
   }
   tables.handovers = {{0, 1, {a, b, c}, settles_us}};
   return tables;
@@ -63,7 +62,7 @@ TEST(ChangeCost, WhatIsNotClaimedIsWorseThanAMissedDeadlineAndThatThanAnyLength)
 
 TEST(ChangeCost, OfAChainThatOneTableLacksNothingIsAsked) {
   Tables tables = with_change(8000, kNotThere, 8000);
-  tables.keys[1].chains[1].worst_case_us = kNotThere;
+  tables.tables[1].keys.chains[1].worst_case_us = kNotThere;
   const ChangeCost of = cost(tables);
   EXPECT_EQ(of.unclaimed, 0);
   EXPECT_EQ(of.missed, 0);
@@ -90,7 +89,7 @@ TEST(Changes, AmongEqualTablesThoseWithCheapChangesAreTaken) {
     EXPECT_EQ(cost.missed, 0) << "seed "
                               << seed;  // as first chosen, seed 4's control loop does: 0.099
     price += cost.price;
-    const TablesVerification v = verify_tables(*app, platform, *tables);
+    const TablesReport v = examine_tables(*app, platform, *tables);
     EXPECT_TRUE(v.truthful()) << v.lies.front();
   }
   EXPECT_LT(price, 1.27);  // as first chosen: 1.35

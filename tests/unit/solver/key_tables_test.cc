@@ -9,8 +9,8 @@
 
 #include "base/index.h"
 #include "model/json.h"
+#include "solver/keys/check_tables.h"
 #include "solver/tables.h"
-#include "solver/verify_tables.h"
 
 namespace xauto::solver {
 namespace {
@@ -73,7 +73,7 @@ TEST(KeyTables, AreTrueAndMoreOfThemAreNoWorse) {
     EXPECT_LE(tables->worst_regret(), before * 1.02);
     EXPECT_GE(tables->worst_regret(), 1);
     before = tables->worst_regret();
-    const TablesVerification v = verify_tables(app, of_two_cpus(), *tables);
+    const keys::TablesReport v = keys::examine_tables(app, of_two_cpus(), *tables);
     EXPECT_TRUE(v.truthful()) << v.lies.front();
     const auto read = parse_tables(to_json(*tables, app, of_two_cpus()), "t", app, of_two_cpus());
     ASSERT_TRUE(read) << read.error().to_string();
@@ -81,7 +81,7 @@ TEST(KeyTables, AreTrueAndMoreOfThemAreNoWorse) {
     EXPECT_EQ(read->serves, tables->serves);
     // One that serves the lost GPU has nothing there.
     const auto& last = tables->tables[static_cast<std::size_t>(tables->serves[3].table)];
-    for (const int xpu : last.xpu) EXPECT_NE(xpu, 2);
+    for (const Placement& placed : last.keys.placements) EXPECT_NE(placed.xpu, 2);
   }
 }
 
@@ -153,7 +153,9 @@ TEST(KeyTables, EachLieIsFound) {
   const auto tables = few(app, 2);
   ASSERT_TRUE(tables) << tables.error().to_string();
   ASSERT_EQ(tables->tables.size(), 2u);
-  const auto lies = [&](const Tables& of) { return verify_tables(app, platform, of).lies.size(); };
+  const auto lies = [&](const Tables& of) {
+    return keys::examine_tables(app, platform, of).lies.size();
+  };
   ASSERT_EQ(lies(*tables), 0u);
   int claimed = 0;
   for (std::size_t h = 0; h < tables->handovers.size(); ++h)
@@ -170,7 +172,7 @@ TEST(KeyTables, EachLieIsFound) {
   EXPECT_GT(claimed, 0);
   for (std::size_t t = 0; t < 2; ++t) {
     Tables bad = *tables;
-    bad.keys[t].chains[0].worst_case_us -= 1;
+    bad.tables[t].keys.chains[0].worst_case_us -= 1;
     EXPECT_EQ(lies(bad), 1u) << t;
   }
   Tables bad = *tables;
@@ -207,15 +209,15 @@ TEST(KeyTables, WhereItIsDegradedTheAppLosesWhatItMustAndNowhereElse) {
     const Table& less = tables->tables[table(s)];
     EXPECT_FALSE(less.loss.none());
     EXPECT_NE(less.name.find(words_of(less.loss, app)), std::string::npos) << less.name;
-    for (const ChainClaim& claim : tables->keys[table(s)].chains)
+    for (const ChainClaim& claim : tables->tables[table(s)].keys.chains)
       EXPECT_LE(claim.worst_case_us, 60'000) << less.name << ", " << claim.name;
   }
   // It takes longer than its period; and without the GPU the smaller net is enough.
   EXPECT_TRUE(tables->tables[table(1)].loss.is_off("show"));
-  EXPECT_EQ(tables->keys[table(1)].chains[2].worst_case_us, kNotThere);
+  EXPECT_EQ(tables->tables[table(1)].keys.chains[2].worst_case_us, kNotThere);
   EXPECT_EQ(tables->serves[1].chain_bound_us[2], kNotThere);
   EXPECT_EQ(words_of(tables->tables[table(2)].loss, app), "infer small");
-  const TablesVerification v = verify_tables(app, platform, *tables);
+  const keys::TablesReport v = keys::examine_tables(app, platform, *tables);
   EXPECT_TRUE(v.truthful()) << v.lies.front();
   int meanwhile = 0;
   for (const Handover& h : tables->handovers) {
@@ -228,21 +230,21 @@ TEST(KeyTables, WhereItIsDegradedTheAppLosesWhatItMustAndNowhereElse) {
   const auto read = parse_tables(to_json(*tables, app, platform), "t", app, platform);
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->tables, tables->tables);
-  EXPECT_EQ(read->keys, tables->keys);
   EXPECT_EQ(read->handovers, tables->handovers);
   const auto lies = [&](const auto& spoil) {
     Tables bad = *tables;
     spoil(bad, bad.tables[table(1)]);
-    return !verify_tables(app, platform, bad).truthful();
+    return !keys::examine_tables(app, platform, bad).truthful();
   };
   EXPECT_TRUE(lies([](Tables& t, Table&) { t.scenarios[1].degraded = false; }));
   EXPECT_TRUE(lies([&](Tables& t, Table&) { t.serves[0].table = t.serves[1].table; }));
   EXPECT_TRUE(lies([](Tables&, Table& less) { less.loss = {}; }))
       << "it has no place for the screen";
   EXPECT_TRUE(lies([](Tables&, Table& less) { less.loss.off = {"see", "show"}; })) << "is needed";
-  EXPECT_TRUE(lies([&](Tables& t, Table&) { t.keys[table(1)].chains[2].worst_case_us = 50'000; }));
   EXPECT_TRUE(
-      lies([&](Tables& t, Table&) { t.keys[table(1)].chains[1].worst_case_us = kNotThere; }));
+      lies([&](Tables& t, Table&) { t.tables[table(1)].keys.chains[2].worst_case_us = 50'000; }));
+  EXPECT_TRUE(lies(
+      [&](Tables& t, Table&) { t.tables[table(1)].keys.chains[1].worst_case_us = kNotThere; }));
   for (std::size_t h = 0; h < tables->handovers.size(); ++h) {
     if (!tables->handovers[h].claims_all()) continue;  // from the GPU that is lost
     EXPECT_TRUE(lies([&](Tables& t, Table&) { t.handovers[h].settles_us /= 2; })) << h;
@@ -273,7 +275,7 @@ TEST(KeyTables, WhatCanRunNowhereIsOffWhereItMayBe) {
   const Table& less = tables->tables[at(tables->serves[1].table)];
   EXPECT_EQ(words_of(less.loss, app), "show off, infer small");
   EXPECT_EQ(forced_loss(app, platform_under(of_two_cpus(), list.list[1])), less.loss);
-  const TablesVerification v = verify_tables(app, of_two_cpus(), *tables);
+  const keys::TablesReport v = keys::examine_tables(app, of_two_cpus(), *tables);
   EXPECT_TRUE(v.truthful()) << v.lies.front();
   EXPECT_TRUE(parse_tables(to_json(*tables, app, of_two_cpus()), "t", app, of_two_cpus()));
   // A module that is not optional has to have a place.
@@ -298,11 +300,11 @@ TEST(KeyTables, ClocksThatCanHaveXpusOfTheirOwnDo) {
   const AppSpec app = seeing_and_acting(true);
   const auto tables = few(app, 2, false);
   ASSERT_TRUE(tables) << tables.error().to_string();
-  EXPECT_TRUE(verify_tables(app, of_two_cpus(), *tables).truthful());
+  EXPECT_TRUE(keys::examine_tables(app, of_two_cpus(), *tables).truthful());
   EXPECT_EQ(tables->tables.size(), 2u);
   for (const Table& table : tables->tables) {
-    EXPECT_NE(table.xpu[0], table.xpu[2]);
-    EXPECT_NE(table.xpu[1], table.xpu[2]);
+    EXPECT_NE(table.xpu(0), table.xpu(2));
+    EXPECT_NE(table.xpu(1), table.xpu(2));
   }
   for (const Handover& h : tables->handovers) {
     EXPECT_TRUE(h.claims_all());  // a chain through both clocks, too
@@ -311,15 +313,15 @@ TEST(KeyTables, ClocksThatCanHaveXpusOfTheirOwnDo) {
   for (std::size_t c = 0; c < app.chains.size(); ++c) {
     Tables lying = *tables;
     *lying.handovers[0].worst_case_us[c] -= *lying.handovers[0].worst_case_us[c] / 5;
-    EXPECT_FALSE(verify_tables(app, of_two_cpus(), lying).truthful()) << c;
+    EXPECT_FALSE(keys::examine_tables(app, of_two_cpus(), lying).truthful()) << c;
   }
   // What settles last is the camera's clock: who claims nothing of it need not say so.
   Tables lying = *tables;
   lying.handovers[0].settles_us -= 10;
-  EXPECT_FALSE(verify_tables(app, of_two_cpus(), lying).truthful());
+  EXPECT_FALSE(keys::examine_tables(app, of_two_cpus(), lying).truthful());
   lying.handovers[0].worst_case_us[0].reset();
   lying.handovers[0].not_claimed = {"the camera's clock"};
-  EXPECT_TRUE(verify_tables(app, of_two_cpus(), lying).truthful());
+  EXPECT_TRUE(keys::examine_tables(app, of_two_cpus(), lying).truthful());
 }
 
 TEST(KeyTables, WhatCannotBeIsRefused) {

@@ -12,10 +12,10 @@
 #include "solver/generate.h"
 #include "solver/heft.h"
 #include "solver/simulate.h"
-#include "solver/verify.h"
 
 #include "brute_force.h"
 #include "problem_random.h"
+#include "reference/verify.h"
 
 namespace xauto::solver {
 namespace {

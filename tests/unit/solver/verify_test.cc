@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "solver/verify.h"
+#include "reference/verify.h"
 
 #include <functional>
 
@@ -9,10 +9,10 @@
 #include "solver/heft.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"
-#include "solver/verify_world.h"
 
 #include "brute_force.h"
 #include "problem_random.h"
+#include "reference/verify_world.h"
 
 namespace xauto::solver::test {
 namespace {

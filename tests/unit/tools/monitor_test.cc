@@ -477,8 +477,8 @@ TEST(Counts, ReleasesThatMetBreakTheClaimsOfOneAtATime) {
 }
 
 TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
-  const auto board = runtime::Board::local({.nodes = 1, .scenarios = 1});
-  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  const auto board = runtime::Board::local({.nodes = 1, .flows = 2, .scenarios = 1});
+  board->flow(1).worst_case_us = 50'000;
   board->xnode(0).jobs = 9;
   ASSERT_TRUE(counts_of(*board).claims.claimed);
   EXPECT_TRUE(counts_of(*board).claims.stands());
@@ -489,22 +489,22 @@ TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
 
 TEST(Counts, WhatMetAChangeIsShownBesideItsWorstCase) {
   const auto board = runtime::Board::local({.flows = 2, .scenarios = 2});
-  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  board->flow(1).worst_case_us = 50'000;
   runtime::name_line(board->scenario(0).name, "fast");
   runtime::name_line(board->scenario(1).name, "slow");
   runtime::name_line(board->flow(1).name, "lane");
   EXPECT_FALSE(counts_of(*board).spanned);
   EXPECT_EQ(spanned_text(counts_of(*board)), "");
   EXPECT_EQ(spanned_json(counts_of(*board)).dump(), "null");
-  board->header().spanned.take({0, 1, 0, 31'000, 60'000, 61'200});
+  board->header().spanned.take({0, 1, 1, 31'000, 60'000, 61'200});
   const Counts counts = counts_of(*board);
   EXPECT_FALSE(counts.claims.exceeded);
   EXPECT_EQ(scenario_json(counts).at("spanned").dump(), spanned_json(counts).dump());
   EXPECT_EQ(spanned_json(counts).dump(),
-            R"({"from":"fast","to":"slow","us":31000,"worst_case_us":60000})");
+            R"({"from":"fast","to":"slow","us":31000,"worst_case_us":60000,"chain":"lane"})");
   EXPECT_NE(scenario_text(counts).find(
-                "of what met a change the nearest to its worst case, a release, took 31.00 ms of "
-                "60.00 ms ('fast' to 'slow')"),
+                "of what met a change the nearest to its worst case, a result of 'lane', took "
+                "31.00 ms of 60.00 ms ('fast' to 'slow')"),
             std::string::npos)
       << scenario_text(counts);
   board->header().spanned.take({1, 0, 1, 61'300, 60'000, 61'200});
@@ -559,8 +559,8 @@ TEST(Counts, WhatIsNotSuspendedOrNotResumedBreaksTheClaim) {
 
 /// There its XPU counts as lost, and they say what is claimed then.
 TEST(Counts, AHangByTablesBreaksNothingByItself) {
-  const auto board = runtime::Board::local({.nodes = 1, .scenarios = 1});
-  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  const auto board = runtime::Board::local({.nodes = 1, .flows = 2, .scenarios = 1});
+  board->flow(1).worst_case_us = 50'000;
   board->xnode(0).hangs = 1;
   EXPECT_TRUE(counts_of(*board).claims.stands());
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "solver/verify_world.h"
+#include "reference/verify_world.h"
 
 #include <algorithm>
 #include <limits>

@@ -7,7 +7,8 @@
 #include <limits>
 
 #include "base/index.h"
-#include "solver/verify_world.h"
+
+#include "reference/verify_world.h"
 
 namespace xauto::solver::verification {
 namespace {
