@@ -162,7 +162,7 @@ class Trace(unittest.TestCase):
         self.assertEqual((told["name"], told["why"], told["spanned"]), (known["now"], known["why"], known["spanned"]))
         text = xauto("trace", *words, "--duration-s", 1).stdout
         self.assertIn("scenario 'GPU slow' (asked), table '", text)
-        self.assertIn("of what met a change the nearest to its worst case, a release, took", text)
+        self.assertIn("of what met a change the nearest to its worst case, a result of '", text)
 
     def test_top_shows_load_and_xnodes(self):
         run = self.drive()
