@@ -72,6 +72,7 @@ std::int64_t drain_us(const AppSpec& app, const Platform& platform, const Policy
 
 std::int64_t drain_us(const Tables& tables, int from, int to, const AppSpec& app,
                       const Platform& platform) {
+  if (app.one_at_a_time) return 0;  // nothing is under way when a release has its table
   const Handover* change = handover_of(tables, from, to);
   const Scenario p = envelope(tables, at(from), app), q = envelope(tables, at(to), app);
   const Table& table = tables.tables[at(from)];

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A change of tables of keys of which nothing is claimed drains: for a while nothing is released, so that the
+// A change of tables of which nothing is claimed drains: for a while nothing is released, so that the
 // next table's releases meet no job of the one before (docs/keys.md, "A change that drains").
 #pragma once
 
@@ -15,7 +15,7 @@ namespace xauto {
 [[nodiscard]] std::int64_t drain_us(const AppSpec& app, const Platform& platform,
                                     const Policy& keys, std::int64_t notice_us);
 
-/// Of a change between two tables of keys that claims nothing of some chain, and whose jobs need no XPU that
+/// Of a change between two tables that claims nothing of some chain, and whose jobs need no XPU that
 /// is lost; 0: it does not drain.
 [[nodiscard]] std::int64_t drain_us(const Tables& tables, int from, int to, const AppSpec& app,
                                     const Platform& platform);

@@ -74,7 +74,7 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
   std::atomic<std::uint64_t> switches{};         ///< [H] to another table
   SpannedLine spanned{};                         ///< [H] of all changes of the scenario
-  /// [H] by keys: those of which nothing is claimed for some chain; releases that kept a table because
+  /// [H] those of which nothing is claimed for some chain; releases that kept a table because
   /// the change before had not settled.
   std::atomic<std::uint64_t> unproven_switches{}, unsettled{};
   /// [H] the tables of releases: in_force() of the newest, of the one before, and older ones: what a
@@ -143,7 +143,7 @@ struct alignas(64) FlowLine {
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::int64_t> longest_urgent_us{-1};        ///< of urgent releases
-  /// By tables of keys: 1: the newest table does not have the chain; and since when it was not, or is again.
+  /// By tables: 1: the newest table does not have the chain; and since when it was not, or is again.
   std::atomic<std::uint32_t> gone{};
   std::atomic<std::int64_t> gone_or_back_ns{};
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Of a run with tables: for how long a job may have its XPU where what is claimed shall hold. A scenario
-// claims something of jobs within its own WCETs; a table of keys, of all scenarios that it serves
+// claims something of jobs within its own WCETs where no source has a rate; else a table, of all scenarios that it serves
 // together. A change covers jobs of both its sides. Unlike the choice of a scenario
 // (scenario_choice.h), this forgives no stall of the emulator's machine: nobody is told of a short
 // one, and it makes a chain longer all the same.
@@ -30,7 +30,7 @@ class ClaimedWcets {
     return table * xnodes_ + xnode;
   }
   std::size_t xnodes_;
-  std::vector<std::size_t> row_of_;            ///< [scenario]; of keys its table
+  std::vector<std::size_t> row_of_;            ///< [scenario]; at rates its table
   std::vector<std::vector<std::int64_t>> ns_;  ///< [row][at()]
   std::vector<std::int64_t> least_ns_;         ///< [at()]
 };

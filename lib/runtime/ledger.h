@@ -120,7 +120,7 @@ class Ledger {
   std::vector<char> asked_for_;                        ///< [module]
   std::vector<char> ends_releases_;                    ///< [module] a sink of some table
   const std::vector<char> sinks_;                      ///< [module]
-  std::vector<char> unproven_;  ///< [chain] by tables of keys: a change was not certified
+  std::vector<char> unproven_;  ///< [chain] by tables: a change was not certified
   int num_sinks_ = 0;
   std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex

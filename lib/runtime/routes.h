@@ -29,7 +29,7 @@ namespace xauto::runtime {
 class Board;
 struct FlowLine;
 
-/// Of tables of keys, a change of which something is claimed.
+/// A change of the scenario of which something is claimed.
 struct MetChange {
   std::uint64_t number = 0;  ///< in the order of the run's changes of the scenario
   std::uint32_t from = 0, to = 0;

@@ -233,7 +233,7 @@ std::int64_t TableSwitch::change(std::uint64_t from_us, int from, const Choice& 
   drains_until_ns_ = since_ns + drains_us * 1000;
   const Handover* change = handover_of(tables_, from, to.table);
   Handover drained;
-  const bool alone = context_.grid.one_at_a_time;
+  const bool alone = context_.grid.one_at_a_time;  // then what met it has ended, and is known
   if (drains_us > 0 || (alone && (change == nullptr || !change->claims_all()))) {
     // Nothing is claimed of what meets it, and all is in time again.
     drained.worst_case_us.assign(context_.session.app.chains.size(), kNotThere);
@@ -241,10 +241,11 @@ std::int64_t TableSwitch::change(std::uint64_t from_us, int from, const Choice& 
     change = &drained;
   }
   const std::int64_t settles_ns = change == nullptr ? 0 : change->settles_us * 1000;
-  const bool proven = in_time && change != nullptr && change->claims_all();
+  if (!in_time && !alone) change = nullptr;
+  const bool proven = change != nullptr && change->claims_all();
   if (!proven) context_.board.header().unproven_switches.fetch_add(1, std::memory_order_relaxed);
   ledger_.claim_change(since_ns, since_ns + settles_ns, static_cast<std::size_t>(to.scenario),
-                       in_time || alone ? &change->worst_case_us : nullptr,
+                       change == nullptr ? nullptr : &change->worst_case_us,
                        {num_switches_, static_cast<std::uint32_t>(scenario_),
                         static_cast<std::uint32_t>(to.scenario)});
   // Jobs of the next change may be too long that much before it is known.

@@ -58,7 +58,7 @@ struct RouteReport {
   std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
   /// In lockstep: results that waited for another release. They have a time that measures nothing.
   std::uint64_t not_measured = 0;
-  /// By tables of keys: releases that took longer than their table claims, or the change that they met.
+  /// By tables: releases that took longer than their scenario claims, or the change that they met.
   std::uint64_t over_claim = 0;
   Distribution latency_us, age_us;
   Distribution urgent_us =

@@ -16,8 +16,8 @@ Result<Windows> windows_of(const Problem& p, const Policy& keys, const std::vect
   Windows w = keys_and_holds(p, keys);
   std::string why;
   if (!certify(p, xpu, w, &why))
-    return fail(ErrorCode::kInternal, "a table does not hold for what it serves: " + why,
-                "tables of keys", "please report this");
+    return fail(ErrorCode::kInternal, "a table does not hold for what it serves: " + why, "tables",
+                "please report this");
   return w;
 }
 
