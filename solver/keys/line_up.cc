@@ -34,22 +34,35 @@ LineUp::LineUp(const Problem& p)
       rate_[at(i) * at(p.num_xpus) + at(m)] =
           static_cast<double>(p.wcet(i, m)) / static_cast<double>(p.period_of(i));
 
+  // The scarce types first; or those where preemption is free.
+  std::vector<int> types(at(p.num_types));
+  std::iota(types.begin(), types.end(), 0);
+  std::stable_sort(types.begin(), types.end(), [&](int a, int b) {
+    return p.type_xpus[at(a)].size() < p.type_xpus[at(b)].size();
+  });
+  for (auto* owns : {&owns_, &owns_free_}) {
+    owns->assign(p.domains.size() * at(p.num_xpus), 0);
+    std::vector<char> served(at(p.num_xnodes), 0);
+    for (const int t : types) share_out(t, *owns, served);
+    std::stable_partition(types.begin(), types.end(),
+                          [&](int t) { return splits(p.type_xpus[at(t)].front()); });
+  }
+
   std::vector<char> waited_for(at(p.num_xnodes), 0);
   std::vector<double> weight(p.components.size(), 0), work(p.components.size(), 0);
   for (const Chain& chain : p.chains) {
-    std::vector<char> heeds(p.components.size(), 0);
+    std::vector<std::size_t> heeds;
     const auto add = [&](int to) {
       const std::size_t c = at(p.component_of[at(to)]);
-      heeds[c] = 1;
+      if (std::find(heeds.begin(), heeds.end(), c) == heeds.end()) heeds.push_back(c);
       for (const int i : p.components[c].xnodes)
         if (i == to || p.before(i, to)) waited_for[at(i)] = 1;
     };
     add(chain.to);
     for (const Path& path : chain.paths)
       for (const int s : path.samples) add(p.samples[at(s)].first);
-    for (std::size_t c = 0; c < heeds.size(); ++c)
-      if (heeds[c] != 0)
-        weight[c] += static_cast<double>(chain.weight) / static_cast<double>(chain.by);
+    for (const std::size_t c : heeds)
+      weight[c] += static_cast<double>(chain.weight) / static_cast<double>(chain.by);
   }
   for (std::size_t c = 0; c < p.components.size(); ++c) {
     for (const int i : p.components[c].xnodes) {
@@ -75,6 +88,55 @@ LineUp::LineUp(const Problem& p)
   by_period_ = by_weight_;
   std::stable_sort(by_period_.begin(), by_period_.end(),
                    [&](int a, int b) { return period(a) < period(b); });
+}
+
+/// Gives the XPUs of a type to the domains: one to each that cannot do without, then to those that have most work for
+/// each. What is served there asks for no other type.
+void LineUp::share_out(int type, std::vector<char>& owns, std::vector<char>& served) const {
+  const std::vector<int>& xpus = p_.type_xpus[at(type)];
+  const std::size_t domains = p_.domains.size(), all = at(p_.num_xpus);
+  std::vector<double> asked(domains, 0);
+  std::vector<char> needs(domains, 0);
+  const auto rate_there = [&](int i) {
+    for (const int m : p_.may_run[at(i)])
+      if (p_.xpu_type[at(m)] == type) return rate_[at(i) * all + at(m)];
+    return -1.0;
+  };
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    if (served[at(i)] != 0 || rate_there(i) < 0) continue;
+    const std::size_t d = at(p_.domain_of(i));
+    asked[d] += rate_there(i);
+    const auto& may = p_.may_run[at(i)];
+    if (std::all_of(may.begin(), may.end(), [&](int m) { return p_.xpu_type[at(m)] == type; }))
+      needs[d] = 1;
+  }
+  std::vector<int> given(domains, 0);
+  const auto first = [&](std::size_t d) {
+    return needs[d] != 0 && given[d] == 0 ? asked[d] + static_cast<double>(xpus.size()) + 1
+                                          : asked[d] / (given[d] + 1);
+  };
+  for (const int m : xpus) {
+    std::size_t best = 0;
+    for (std::size_t d = 1; d < domains; ++d)
+      if (first(d) > first(best)) best = d;
+    ++given[best];
+    owns[best * all + at(m)] = 1;
+  }
+  // Who cannot do without, and has none, shares them.
+  for (std::size_t d = 0; d < domains; ++d)
+    for (const int m : xpus)
+      if (needs[d] != 0 && given[d] == 0) owns[d * all + at(m)] = 1;
+  std::vector<double> load(domains, 0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const std::size_t d = at(p_.domain_of(i));
+    const double rate = rate_there(i);
+    if (served[at(i)] != 0 || rate < 0 || load[d] + rate > kFullyLoaded * given[d]) continue;
+    const bool fastest = std::all_of(p_.may_run[at(i)].begin(), p_.may_run[at(i)].end(),
+                                     [&](int m) { return rate_[at(i) * all + at(m)] >= rate; });
+    if (!fastest) continue;
+    load[d] += rate;
+    served[at(i)] = 1;
+  }
 }
 
 /// Whether work may go on there after others: at no cost.
@@ -146,7 +208,17 @@ void LineUp::place(int i) {
   Tick best_end = 0;
   bool best_full = false;
   const int group = p_.group_of[at(i)];
-  for (const int m : p_.may_run[at(i)]) {
+  const std::vector<int>& may = p_.may_run[at(i)];
+  Where where = where_;
+  const std::vector<char>& owns = where.free ? owns_free_ : owns_;
+  const auto allowed = [&](int m) {
+    return (!where.apart || owns[at(c.domain) * at(p_.num_xpus) + at(m)] != 0) &&
+           (!where.free || splits(m));
+  };
+  if (std::none_of(may.begin(), may.end(), allowed)) where.free = false;
+  if (std::none_of(may.begin(), may.end(), allowed)) where.apart = false;
+  for (const int m : may) {
+    if (!allowed(m)) continue;
     if (group >= 0 &&
         std::any_of(p_.groups[at(group)].begin(), p_.groups[at(group)].end(), [&](int j) {
           return p_.wcet(j, m) == kNoTick || (xpu_[at(j)] >= 0 && xpu_[at(j)] != m);
@@ -166,7 +238,7 @@ void LineUp::place(int i) {
     best_end = end;
     best_full = full;
   }
-  if (best < 0) best = p_.may_run[at(i)].front();
+  if (best < 0) best = may.front();
   const Tick work = p_.wcet(i, best), ready = ready_on(best);
   end_[at(i)] = end_of(best, ready, work);
   xpu_[at(i)] = best;
@@ -179,8 +251,10 @@ void LineUp::place_all(const std::vector<int>& xnodes) {
   for (const int i : xnodes) place(i);
 }
 
-LineUp::Value LineUp::plan(const std::vector<int>& order, const std::vector<Tick>& hold) {
+LineUp::Value LineUp::plan(const std::vector<int>& order, const std::vector<Tick>& hold,
+                           const Where& where) {
   hold_ = &hold;
+  where_ = where;
   busy_.assign(at(p_.num_xpus), {});
   load_.assign(at(p_.num_xpus), 0);
   xpu_.assign(at(p_.num_xnodes), -1);
@@ -215,7 +289,9 @@ LineUp::Value LineUp::plan(const std::vector<int>& order, const std::vector<Tick
     const double part =
         static_cast<double>(end_[at(chain.to)] - chain.offset) / static_cast<double>(chain.by);
     value.sum += static_cast<double>(chain.weight) * part;
-    if (!p_.deadlines || chain.deadline != kNoTick) value.largest = std::max(value.largest, part);
+    if ((p_.deadlines && chain.deadline == kNoTick) || part <= value.largest) continue;
+    value.largest = part;
+    value.last = p_.component_of[at(chain.to)];
   }
   return value;
 }

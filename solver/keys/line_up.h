@@ -24,9 +24,16 @@ class LineUp {
 
   struct Value {
     double largest = 0, sum = 0;  ///< as Figures', of the chains' ends as they are planned
+    int last = -1;                ///< the component that the largest ends in
+  };
+  /// Where XNodes may go, as far as there is such an XPU for them.
+  struct Where {
+    bool apart =
+        false;  ///< each domain has XPUs of its own: nothing is known of the phase to another one
+    bool free = false;  ///< where preemption costs nothing
   };
   /// Of all components in this order. `hold`: [xnode] it does not begin before, after its release.
-  Value plan(const std::vector<int>& order, const std::vector<Tick>& hold);
+  Value plan(const std::vector<int>& order, const std::vector<Tick>& hold, const Where& where);
   [[nodiscard]] const std::vector<int>& xpu() const { return xpu_; }   ///< [xnode]
   [[nodiscard]] const std::vector<Tick>& key() const { return key_; }  ///< [xnode]
 
@@ -39,6 +46,7 @@ class LineUp {
   [[nodiscard]] Tick end_of(int xpu, Tick from, Tick work) const;
   void take(int xpu, Tick from, Tick work);
   [[nodiscard]] bool splits(int xpu) const;
+  void share_out(int type, std::vector<char>& owns, std::vector<char>& served) const;
   void place(int xnode);
   void place_all(const std::vector<int>& xnodes);
 
@@ -50,11 +58,13 @@ class LineUp {
   std::vector<int> by_weight_, by_period_;
   Tick horizon_ = 0;
 
+  std::vector<char> owns_, owns_free_;   ///< [domain * xpus + xpu]; of Where::free
   std::vector<std::vector<Busy>> busy_;  ///< [xpu]
   std::vector<double> load_;             ///< [xpu]
   std::vector<int> xpu_;
   std::vector<Tick> end_, key_;  ///< [xnode]
   const std::vector<Tick>* hold_ = nullptr;
+  Where where_;
 };
 
 }  // namespace xauto::solver::keys

@@ -456,14 +456,13 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   const std::vector<std::int64_t> weights = balancing_weights(p_);
   std::vector<std::int64_t> flat(weights.size(),
                                  kWeights / static_cast<std::int64_t>(weights.size()));
-  const bool any = found_.any();
-  if (over() && any) return;
+  const std::int64_t before = found_.any() ? -1 : evaluator_.evaluations();
   line_up(on_better);
   for (const double greed : kGreeds)
     for (const int rule : {0, 1, 2})
       for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
         for (const bool charge : {true, false}) {
-          if (over()) return;
+          if (over() && evaluator_.evaluations() > before) return;
           try_start(constructed(*prices, greed, rule, charge), on_better);
         }
 }

@@ -117,6 +117,7 @@ class Search {
     std::vector<char> waits;  ///< [sample] who reads is held until that has ended
     std::vector<Tick> hold;   ///< [xnode]
     bool interrupts = false;  ///< also where that costs
+    LineUp::Where where;
     LineUp::Value planned;
     Candidate candidate;
   };

@@ -12,9 +12,11 @@ namespace {
 // Chosen, not tuned.
 /// Moves without a better line, for each component and sample, until it ends.
 constexpr int kIdleMoves = 8;
-constexpr double kWaitBelow =
-    0.2;  ///< of moves: a reader waits, or no longer; the rest are of order
-constexpr double kNearBelow = 0.7;  ///< of those of order: to a place near by
+/// Of moves: a reader waits, or no longer; the rest are of order.
+constexpr double kWaitBelow = 0.2;
+/// Of those of order, while the largest counts: whom it ends in, to before others; of the rest to a place near by.
+constexpr double kLastBelow = 0.5;
+constexpr double kNearBelow = 0.7;
 constexpr int kNearPlaces = 6;
 /// A line that is better by less than this part is certified only at the end.
 constexpr double kWorthCertifying = 0.01;
@@ -24,7 +26,7 @@ constexpr int kMostHeld = 3;
 }  // namespace
 
 void Search::plan(Line& line) {
-  line.planned = lines_->plan(line.order, line.hold);
+  line.planned = lines_->plan(line.order, line.hold, line.where);
 }
 
 /// As it was planned last.
@@ -61,6 +63,7 @@ bool Search::hold_readers(Line& line) const {
     const auto [u, v] = p_.samples[s];
     const Component &from = p_.components[at(p_.component_of[at(u)])],
                     &to = p_.components[at(p_.component_of[at(v)])];
+    if (from.domain != to.domain) continue;
     for (std::int64_t n = 0; n < to.jobs; ++n) {
       const Tick release = to.phase + n * to.period;
       const std::int64_t m = floor_div(release - from.phase, from.period);
@@ -84,31 +87,50 @@ bool Search::plans_better(const LineUp::Value& a, const LineUp::Value& b) const 
   return goal_.better(one, other);
 }
 
+/// Lines in which no XPU is shared are searched on.
 void Search::line_up(const std::function<void(const Candidate&)>& on_better) {
   lines_ = std::make_unique<LineUp>(p_);
-  const bool many = p_.domains.size() > 1 || p_.any_urgent;
-  Line line;
-  line.waits.assign(p_.samples.size(), 0);
-  line.hold.assign(at(p_.num_xnodes), 0);
-  bool any = found_.any();
-  for (const auto* order : {&lines_->by_weight(), &lines_->by_period()})
-    for (const bool interrupts : {false, true}) {
-      if (over() && any) return;
-      line.order = *order;
-      line.interrupts = interrupts;
-      any = true;
-      plan(line);
-      if (many) {
-        decide(line);
-        try_start(line.candidate.decision, on_better);
-        continue;
-      }
-      evaluate(line);
-      take(line.candidate, on_better);
-      if (!line.candidate.figures.valid) continue;
-      if (line_.order.empty() || goal_.better(line.candidate.figures, line_.candidate.figures))
-        line_ = line;
+  std::vector<Decision> tried;
+  const auto begin = [&](const std::vector<int>& order, const LineUp::Where& where,
+                         bool interrupts) {
+    if (over()) return;
+    Line line;
+    line.order = order;
+    line.where = where;
+    line.interrupts = interrupts;
+    line.waits.assign(p_.samples.size(), 0);
+    line.hold.assign(at(p_.num_xnodes), 0);
+    plan(line);
+    decide(line);
+    const Decision& d = line.candidate.decision;
+    if (std::any_of(tried.begin(), tried.end(), [&](const Decision& t) {
+          return t.xpu == d.xpu && t.key == d.key && t.polite == d.polite;
+        }))
+      return;
+    tried.push_back(d);
+    const std::vector<char> shared = shared_xpus(p_, d.xpu);
+    if (std::find(shared.begin(), shared.end(), 1) != shared.end()) {
+      // Whoever shares an XPU takes its window.
+      if (!interrupts) try_start(d, on_better);
+      return;
     }
+    evaluate(line);
+    take(line.candidate, on_better);
+    if (line.candidate.figures.valid &&
+        (line_.order.empty() || goal_.better(line.candidate.figures, line_.candidate.figures)))
+      line_ = std::move(line);
+  };
+  const bool costly =
+      std::any_of(p_.preempt.begin(), p_.preempt.end(), [](Tick t) { return t > 0; }) ||
+      std::any_of(p_.levels.begin(), p_.levels.end(), [](int l) { return l != kAnyLevels; });
+  for (const bool apart : {true, false}) {
+    if (apart && p_.domains.size() == 1) continue;
+    for (const auto* order : {&lines_->by_weight(), &lines_->by_period()}) {
+      begin(*order, {apart, false}, false);
+      if (costly) begin(*order, {apart, false}, true);
+      if (costly) begin(*order, {apart, true}, false);
+    }
+  }
 }
 
 bool Search::change_line(const Line& from, Line& next) {
@@ -116,6 +138,7 @@ bool Search::change_line(const Line& from, Line& next) {
   next.waits = from.waits;
   next.hold = from.hold;
   next.interrupts = from.interrupts;
+  next.where = from.where;
   if (!p_.samples.empty() && random_.unit() < kWaitBelow) {
     const std::size_t s = random_.below(p_.samples.size());
     next.waits[s] = next.waits[s] == 0 ? 1 : 0;
@@ -124,9 +147,13 @@ bool Search::change_line(const Line& from, Line& next) {
   }
   const std::size_t n = next.order.size();
   if (n < 2) return false;
-  const std::size_t a = random_.below(n);
-  std::size_t b = random_.below(n);
-  if (random_.unit() < kNearBelow) {
+  std::size_t a = random_.below(n), b = random_.below(n);
+  if (from.planned.last >= 0 && (!goal_.sum || from.candidate.figures.largest > goal_.most()) &&
+      random_.unit() < kLastBelow) {
+    const auto last = std::find(next.order.begin(), next.order.end(), from.planned.last);
+    a = static_cast<std::size_t>(last - next.order.begin());
+    b = random_.below(a + 1);
+  } else if (random_.unit() < kNearBelow) {
     const std::size_t by = 1 + random_.below(kNearPlaces);
     b = random_.unit() < 0.5 ? a - std::min(a, by) : std::min(n - 1, a + by);
   }

@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Line-ups: components one after the other.
+#include <algorithm>
+#include <array>
+
 #include <gtest/gtest.h>
 
 #include "solver/keys/check.h"
@@ -45,7 +48,7 @@ TEST(KeysLineUp, TheLeastWorkGoesFirst) {
   const Problem p = Problem::create(app, cpus(1)).value();
   LineUp lines(p);
   EXPECT_EQ(lines.by_weight(), (std::vector{1, 2, 0}));
-  const LineUp::Value value = lines.plan(lines.by_weight(), {0, 0, 0});
+  const LineUp::Value value = lines.plan(lines.by_weight(), {0, 0, 0}, {});
   EXPECT_EQ(lines.key(), (std::vector<Tick>{9, 2, 5}));
   EXPECT_EQ(value.sum, 16);
   EXPECT_EQ(value.largest, 9);
@@ -59,9 +62,9 @@ TEST(KeysLineUp, WhoComesLaterFillsTheGapsAndWaitsForItsHold) {
   const Problem p = Problem::create(app, cpus(1)).value();
   LineUp lines(p);
   // The first one begins at 3: the other one is there before, and goes on behind it.
-  static_cast<void>(lines.plan({0, 1}, {3, 0}));
+  static_cast<void>(lines.plan({0, 1}, {3, 0}, {}));
   EXPECT_EQ(lines.key(), (std::vector<Tick>{13, 14}));
-  static_cast<void>(lines.plan({0, 1}, {0, 20}));
+  static_cast<void>(lines.plan({0, 1}, {0, 20}, {}));
   EXPECT_EQ(lines.key(), (std::vector<Tick>{10, 24}));
 }
 
@@ -72,7 +75,7 @@ TEST(KeysLineUp, LaterReleasesOfTheFirstAreInTheWay) {
   add_component(app, 100, {20});
   const Problem p = Problem::create(app, cpus(1)).value();
   LineUp lines(p);
-  static_cast<void>(lines.plan({0, 1}, {0, 0}));
+  static_cast<void>(lines.plan({0, 1}, {0, 0}, {}));
   EXPECT_EQ(lines.key(), (std::vector<Tick>{4, 36}));  // 4 to 10, 14 to 20, 24 to 30, 34 to 36
 }
 
@@ -84,10 +87,39 @@ TEST(KeysLineUp, WhatNoChainWaitsForComesLast) {
   add_component(app, 100, {3});
   const Problem p = Problem::create(app, cpus(1)).value();
   LineUp lines(p);
-  static_cast<void>(lines.plan({0, 1}, {0, 0, 0}));
+  static_cast<void>(lines.plan({0, 1}, {0, 0, 0}, {}));
   EXPECT_EQ(lines.key()[0], 2);
   EXPECT_EQ(lines.key()[2], 5);
   EXPECT_GE(lines.key()[1], 10);
+}
+
+/// Of two clocks on three CPUs and a GPU: the one with more work has two CPUs, and no XPU serves both.
+TEST(KeysLineUp, ClocksApartShareNoXpu) {
+  AppSpec app;
+  app.name = "apart";
+  app.clocks.push_back({"other", 100});
+  for (int c = 0; c < 6; ++c) {
+    add_component(app, 100, {c % 2 == 0 ? 20 : 5, 5});
+    app.sources.back().clock = c % 2;
+    app.xnodes.back().wcet_us["gpu"] = 2;
+  }
+  Platform platform = cpus(3);
+  platform.xpus.push_back({"gpu0", "gpu", true, 50});
+  const Problem p = Problem::create(app, platform).value();
+  ASSERT_EQ(p.domains.size(), 2U);
+  LineUp lines(p);
+  const std::vector<Tick> hold(at(p.num_xnodes), 0);
+  for (const bool free : {false, true}) {
+    static_cast<void>(lines.plan(lines.by_weight(), hold, {.apart = true, .free = free}));
+    std::vector<int> domain(at(p.num_xpus), -1);
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      int& whose = domain[at(lines.xpu()[at(i)])];
+      EXPECT_TRUE(whose == -1 || whose == p.domain_of(i)) << i;
+      whose = p.domain_of(i);
+    }
+    EXPECT_EQ(std::count(domain.begin(), domain.end() - 1, p.domain_of(0)), 2);
+    EXPECT_EQ(domain.back() == -1, free);
+  }
 }
 
 /// Many components of several rates on few CPUs: near to what is proven of all together.
