@@ -17,7 +17,7 @@ namespace {
 using Int = __int128;
 
 /// Weights, and the values of objectives, are whole, in units of 2^-20.
-constexpr int kShift = 20;
+constexpr int kShift = Weights::kShift;
 constexpr std::int64_t kOne = std::int64_t{1} << kShift;
 
 // What is searched for in floating point, and counted in integers: a worse search bounds less,
@@ -618,21 +618,25 @@ double down(double value) {
   return value <= 0 ? 0 : std::nextafter(value, 0.0);
 }
 
-double divided_bound(const Problem& p, const std::vector<Term>& terms, bool largest, int most_cases,
+double divided_bound(const Problem& p, const std::vector<Term>& terms, bool sum, int most_cases,
                      const Until& until) {
-  Tick longest = 1;
-  for (const Term& term : terms) longest = std::max(longest, term.by);
-  // A weight of longest / by, rounded down: no part is less than it says.
-  Objective objective{terms, {}, largest};
-  for (const Term& term : terms)
-    objective.weight.push_back(static_cast<std::int64_t>(std::min<Int>(
-        (Int{largest ? 1 : term.weight} * longest << kShift) / term.by, kMostWeight)));
-  return down(down(static_cast<double>(bound_of_cases(p, objective, most_cases, until)) /
-                   static_cast<double>(kOne)) /
-              static_cast<double>(longest));
+  const Weights weights(terms, sum);
+  return weights.value(bound_of_cases(p, {terms, weights.of, !sum}, most_cases, until));
 }
 
 }  // namespace
+
+Weights::Weights(const std::vector<Term>& terms, bool sum) {
+  for (const Term& term : terms) longest = std::max(longest, term.by);
+  for (const Term& term : terms)
+    of.push_back(static_cast<std::int64_t>(
+        std::min<Int>((Int{sum ? term.weight : 1} * longest << kShift) / term.by, kMostWeight)));
+}
+
+double Weights::value(Int units) const {
+  return down(down(static_cast<double>(units) / static_cast<double>(kOne)) /
+              static_cast<double>(longest));
+}
 
 Tick load_bound(const Problem& p, const std::vector<LoadWay>& ways, int most_cases,
                 const Until& until) {
@@ -643,12 +647,12 @@ Tick load_bound(const Problem& p, const std::vector<LoadWay>& ways, int most_cas
 
 double sum_bound(const Problem& p, const std::vector<Term>& terms, int most_cases,
                  const Until& until) {
-  return divided_bound(p, terms, false, most_cases, until);
+  return divided_bound(p, terms, true, most_cases, until);
 }
 
 double largest_bound(const Problem& p, const std::vector<Term>& terms, int most_cases,
                      const Until& until) {
-  return divided_bound(p, terms, true, most_cases, until);
+  return divided_bound(p, terms, false, most_cases, until);
 }
 
 }  // namespace xauto::solver::keys

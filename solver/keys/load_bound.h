@@ -46,6 +46,17 @@ struct Term {
   Tick by = 1;              ///< by which its worst case is divided
 };
 
+/// Weights of terms in whole units of 2^-kShift / longest, rounded down: no part is less than it says.
+struct Weights {
+  static constexpr int kShift = 20;
+  std::vector<std::int64_t> of;  ///< [term]
+  Tick longest = 1;              ///< of what terms are divided by
+
+  Weights(const std::vector<Term>& terms, bool sum);
+  /// Of an objective in these units, not negative; rounded down.
+  [[nodiscard]] double value(__int128 units) const;
+};
+
 /// Of one chain, in ticks. `most_cases`: how many cases are parted at most.
 [[nodiscard]] Tick load_bound(const Problem& problem, const std::vector<LoadWay>& ways,
                               int most_cases, const Until& until = {});

@@ -5,12 +5,21 @@
 #include <map>
 #include <numeric>
 
+#include "solver/keys/joint_bound.h"
 #include "solver/keys/load_bound.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/unpackable.h"
 
 namespace xauto::solver::keys {
 namespace {
+
+std::vector<Tick> least_wcets(const Problem& p) {
+  std::vector<Tick> least(at(p.num_xnodes), 0);
+  for (int i = 0; i < p.num_xnodes; ++i)
+    for (const int m : p.may_run[at(i)])
+      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
+  return least;
+}
 
 /// Least WCETs along edges from `from` to `to`, both included; kNoTick: no way.
 Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int to) {
@@ -111,6 +120,36 @@ std::vector<LoadWay> ways_of(const Problem& p, const Chain& chain) {
   return ways;
 }
 
+/// What the pieces of a way behind the first take.
+Tick behind_first(const Problem& p, const std::vector<Tick>& least, const LoadWay& way) {
+  Tick behind = 0;
+  for (std::size_t q = 1; q < way.pieces.size(); ++q)
+    behind += std::max(Tick{0}, least_way(p, least, way.pieces[q].from.front(), way.pieces[q].to));
+  return behind;
+}
+
+/// For joint_bound: of each XNode the longest, over all ways.
+std::vector<Tail> tails_of(const Problem& p, const std::vector<Tick>& least,
+                           const std::vector<LoadWay>& ways) {
+  std::vector<Tick> tail(at(p.num_xnodes), kNoTick), longest = tail;
+  for (const LoadWay& way : ways) {
+    const int to = way.pieces.front().to;
+    const std::vector<int>& all = p.components[at(p.component_of[at(to)])].xnodes;
+    for (const int i : all) tail[at(i)] = kNoTick;
+    tail[at(to)] = behind_first(p, least, way);
+    for (auto i = all.rbegin(); i != all.rend(); ++i) {
+      for (const EdgeEnd& link : p.succ[at(*i)])
+        if (tail[at(link.xnode)] != kNoTick)
+          tail[at(*i)] = std::max(tail[at(*i)], tail[at(link.xnode)] + least[at(link.xnode)]);
+      longest[at(*i)] = std::max(longest[at(*i)], tail[at(*i)]);
+    }
+  }
+  std::vector<Tail> tails;
+  for (int i = 0; i < p.num_xnodes; ++i)
+    if (longest[at(i)] != kNoTick) tails.push_back({i, longest[at(i)]});
+  return tails;
+}
+
 /// Theorem 12: from the nominal release to the end of an XNode, of a release whose way meets a long piece of
 /// work on an XPU that does not preempt.
 class Pieces {
@@ -193,15 +232,14 @@ class Pieces {
 
 /// Of a chain's part of the time, for the proof of its end, and at most so many seconds.
 constexpr double kForProofs = 0.5, kMostForProofS = 5;
+/// Of the time for all chains together, for what follows from their releases at once.
+constexpr double kForJoint = 0.5;
 
 }  // namespace
 
 std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
                                const Objectives& wishes, int most_cases, const Until& until) {
-  std::vector<Tick> least(at(p.num_xnodes), 0);
-  for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : p.may_run[at(i)])
-      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
+  const std::vector<Tick> least = least_wcets(p);
   // Longest ways from the roots' latest arrivals.
   std::vector<Tick> ends(at(p.num_xnodes), 0);
   for (const Component& c : p.components)
@@ -242,10 +280,7 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
       const int first = way.pieces.front().to;
       const auto [late, fresh] = piece.emplace(first, 0);
       if (fresh) late->second = pieces.bound(first, until);
-      Tick behind = 0;
-      for (std::size_t q = 1; q < way.pieces.size(); ++q)
-        behind +=
-            std::max(Tick{0}, least_way(p, least, way.pieces[q].from.front(), way.pieces[q].to));
+      const Tick behind = behind_first(p, least, way);
       bound = std::max({bound, bound_of(first) + behind + way.waits,
                         late->second + behind -
                             (chain.offset - p.components[at(p.component_of[at(first)])].phase)});
@@ -263,6 +298,8 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
 double objective_bound(const Problem& p, const std::vector<Tick>& bounds, bool sum, int most_cases,
                        const Until& until) {
   std::vector<Term> terms;
+  std::vector<Ending> endings;
+  const std::vector<Tick> least = least_wcets(p);
   double known = 0;
   for (std::size_t c = 0; c < p.chains.size(); ++c) {
     const Chain& chain = p.chains[c];
@@ -270,7 +307,9 @@ double objective_bound(const Problem& p, const std::vector<Tick>& bounds, bool s
     const double part = static_cast<double>(bounds[c]) / static_cast<double>(chain.by);
     known = sum ? known + static_cast<double>(chain.weight) * part : std::max(known, part);
     terms.push_back({ways_of(p, chain), bounds[c], sum ? chain.weight : 1, chain.by});
+    endings.push_back({tails_of(p, least, terms.back().ways), chain.offset});
   }
+  known = std::max(known, joint_bound(p, terms, endings, sum, part_of(until, kForJoint)));
   return std::max(known, sum ? sum_bound(p, terms, most_cases, until)
                              : largest_bound(p, terms, most_cases, until));
 }

@@ -439,28 +439,31 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
   if (!candidate.figures.valid) found_.add_invalid(candidate);
 }
 
+void Search::try_start(Decision decision, const std::function<void(const Candidate&)>& on_better) {
+  const bool many = p_.domains.size() > 1 || p_.any_urgent;
+  Candidate c;
+  c.decision = std::move(decision);
+  for (const double part : kWindowParts) {
+    if (part != kWindowParts[0] && over()) return;
+    spread_windows(c.decision, many ? part : 1);
+    evaluate(c);
+    take(c, on_better);
+    if (!many) return;
+  }
+}
+
 void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   const std::vector<std::int64_t> weights = balancing_weights(p_);
   std::vector<std::int64_t> flat(weights.size(),
                                  kWeights / static_cast<std::int64_t>(weights.size()));
-  bool any = found_.any();
-  std::vector<double> parts{1};
-  if (p_.domains.size() > 1 || p_.any_urgent)
-    parts.assign(std::begin(kWindowParts), std::end(kWindowParts));
+  const std::int64_t before = found_.any() ? -1 : evaluator_.evaluations();
+  line_up(on_better);
   for (const double greed : kGreeds)
     for (const int rule : {0, 1, 2})
       for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
         for (const bool charge : {true, false}) {
-          if (over() && any) return;
-          Candidate c;
-          c.decision = constructed(*prices, greed, rule, charge);
-          for (const double part : parts) {
-            if (over() && any) return;
-            spread_windows(c.decision, part);
-            evaluate(c);
-            take(c, on_better);
-            any = true;
-          }
+          if (over() && evaluator_.evaluations() > before) return;
+          try_start(constructed(*prices, greed, rule, charge), on_better);
         }
 }
 
@@ -639,6 +642,7 @@ void Search::run(const SearchLimits& limits, const Policy* hint, Keep keep,
   keep_ = hint == nullptr ? Keep::kNothing : keep;
   if (hint != nullptr) begin_with(*hint, on_better);
   if (keep_ == Keep::kNothing) construct(on_better);
+  improve_line(on_better);
   std::int64_t steps = kFirstSteps;
   for (std::size_t cycle = 0; !over(); ++cycle) {
     if (!goal_.sum && may_sum()) {
@@ -646,6 +650,7 @@ void Search::run(const SearchLimits& limits, const Policy* hint, Keep keep,
       set_goal();
       steps = kFirstSteps;
       cycle = 0;
+      improve_line(on_better);
     }
     const std::int64_t before = evaluator_.evaluations();
     const std::size_t turn = cycle % std::size(kHot);

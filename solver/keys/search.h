@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Search: assignment, keys, holds and windows on shared XPUs, by annealing from constructed starts.
+// Search: assignment, keys, holds and windows on shared XPUs, by annealing from constructed starts. Before that, of
+// components that go one after the other, the order (search_line_up.cc).
 // Deterministic for a seed where `max_evaluations` ends it.
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "model/policy.h"
 #include "solver/keys/evaluate.h"
+#include "solver/keys/line_up.h"
 #include "solver/keys/problem.h"
 #include "solver/random.h"
 #include "solver/until.h"
@@ -108,6 +111,27 @@ class Search {
   void set_goal();
   [[nodiscard]] bool improves(const Figures& figures) const;
   void evaluate(Candidate& candidate);
+  /// A line-up and what comes of it.
+  struct Line {
+    std::vector<int> order;   ///< components
+    std::vector<char> waits;  ///< [sample] who reads is held until that has ended
+    std::vector<Tick> hold;   ///< [xnode]
+    bool interrupts = false;  ///< also where that costs
+    LineUp::Where where;
+    LineUp::Value planned;
+    Candidate candidate;
+  };
+  void plan(Line& line);
+  void decide(Line& line) const;
+  void evaluate(Line& line);
+  [[nodiscard]] bool hold_readers(Line& line) const;
+  [[nodiscard]] bool plans_better(const LineUp::Value& a, const LineUp::Value& b) const;
+  /// The components one after the other; then who goes first, and who waits.
+  void line_up(const std::function<void(const Candidate&)>& on_better);
+  void improve_line(const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] bool change_line(const Line& from, Line& next);
+  /// With its windows.
+  void try_start(Decision decision, const std::function<void(const Candidate&)>& on_better);
   void construct(const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
                                      int rule, bool charge);
@@ -133,6 +157,8 @@ class Search {
   bool proven_ = false;  ///< every chain is at its bound
   Incumbents found_;
   Goal goal_;
+  std::unique_ptr<LineUp> lines_;
+  Line line_;                  ///< the best of them; without an order there is none
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;
   std::vector<char> shared_;  ///< [xpu] of the annealer's state

@@ -26,6 +26,8 @@ bool all_equal(const std::vector<std::int64_t>& values) {
 constexpr double kForFirstBounds = 0.1;  ///< part of the limit, at most
 /// For finer bounds at the end: a part of the limit, and at most so many seconds.
 constexpr double kForFinerBounds = 0.08, kForFinerBoundsS = 1;
+constexpr double kForChains =
+    0.5;  ///< part of it: for those of chains, before those of all together
 /// Before them, for holds that are not needed; so many seconds at least, even of a limit of 0.
 constexpr double kForHolds = 0.05, kForHoldsS = 0.5, kForHoldsAtLeastS = 0.05;
 /// Beyond the limit, to finish what was begun: a part of it. At least the seconds: even a limit of
@@ -420,7 +422,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   // What is left of the time makes the bounds better.
   if (shortest && limit < kNoLimitS) for_finer = part_of(for_finer, kForPlans);
   if (p.chains.size() == 1) bounds[0] = std::max(bounds[0], bound);
-  if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(for_finer);
+  if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(part_of(for_finer, kForChains));
   for (std::size_t c = 0; c < bounds.size(); ++c) answer.lower_bound_us[c] = us_above(p, bounds[c]);
   const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);
   // First what was asked for.

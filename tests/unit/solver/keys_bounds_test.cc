@@ -235,6 +235,65 @@ TEST(KeysBounds, NoObjectiveIsBelowItsBound) {
   EXPECT_GT(together, 1);
 }
 
+/// Sources that release at once, mostly on one CPU: theorem 14.
+TEST(KeysBounds, NothingReleasedAtOnceIsBelowItsBound) {
+  int with_policy = 0, together = 0, tight = 0;
+  for (std::uint64_t seed = 1; seed <= 80; ++seed) {
+    SCOPED_TRACE(seed);
+    solver::test::Dice dice(seed + 47000);
+    RatedShape shape;
+    shape.max_components = 3;
+    shape.max_nodes = 2;
+    shape.max_wcet = 3;
+    shape.least_period = 6;
+    shape.most_period = 9;
+    shape.clocks = dice.roll(1, 2);
+    shape.offsets = dice.chance(40);
+    AppSpec app = random_rated_app(dice, shape);
+    while (app.xnodes.size() > 3 || app.sources.size() < 2) app = random_rated_app(dice, shape);
+    if (dice.chance(50)) app.samples.clear();
+    if (app.samples.empty())
+      std::erase_if(app.chains,
+                    [](const ChainSpec& chain) { return chain.name.starts_with("across"); });
+    choose_wishes(app, dice);
+    Platform platform = random_rated_platform(dice);
+    keep_one_of_each_type(platform);
+    const Against found = against_exhaustion(app, platform, 12, 20);
+    with_policy += found.any ? 1 : 0;
+    tight += found.tight ? 1 : 0;
+    together += found.above_sum ? 1 : 0;
+    ASSERT_FALSE(HasFailure());
+  }
+  EXPECT_GT(with_policy, 40);
+  EXPECT_GT(together, 20);
+  EXPECT_GT(tight, 20);
+}
+
+/// The shortest first: 2, 5 and 9 ms after a release of all, whatever the keys.
+TEST(KeysBounds, OnOneXpuTheSumIsThatOfTheShortestFirst) {
+  AppSpec app;
+  app.name = "at once";
+  for (int c = 0; c < 3; ++c) {
+    app.sources.push_back({test::numbered("s", c), {100'000, 1}});
+    XNodeSpec x;
+    x.name = test::numbered("x", c);
+    x.module = test::numbered("m", c);
+    x.wcet_us = {{"cpu", 1000 * (4 - c)}};
+    x.sources = {c};
+    app.xnodes.push_back(x);
+    app.modules.push_back({x.module, 1});
+    app.chains.push_back({test::numbered("c", c), c, c});
+  }
+  Platform platform;
+  platform.xpus = {{"cpu0", "cpu", true, 0}};
+  const Result<Answer> answer = solve(app, platform, brief(200));
+  ASSERT_TRUE(answer) << answer.error().to_string();
+  ASSERT_EQ(answer->outcome, Outcome::kPolicy);
+  EXPECT_EQ(answer->totals.sum, 16'000);
+  EXPECT_GT(answer->bounds.sum, 16'000 * (1 - 1e-4));
+  EXPECT_LE(answer->bounds.sum, 16'000);
+}
+
 /// Clocks that meet on one XPU, some of which cannot preempt, or pay for it: theorem 9.
 TEST(KeysBounds, NoMeetingOfClocksIsBelowItsBound) {
   int with_policy = 0, tight = 0;

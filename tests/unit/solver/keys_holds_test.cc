@@ -135,7 +135,7 @@ TEST(KeysHolds, MostAreNotNeeded) {
 /// Pairs lead from one component to another: who is held behind such a pair starts no sooner than its first.
 TEST(KeysHolds, GoAlsoWherePairsJoinComponents) {
   int joined = 0;
-  for (std::uint64_t seed = 1; seed <= 150; ++seed) {
+  for (std::uint64_t seed = 1; seed <= 400; ++seed) {
     solver::test::Dice dice(seed);
     RatedShape shape;
     shape.max_components = 4;
