@@ -72,6 +72,9 @@ class Referee {
     thread_.check();
     // First of all: a FINISH that is just handing over to the dead must not succeed.
     take_over(wakes);
+    // It may have handed over, and died before it woke the other.
+    for (int i = 0; i < high(); ++i)
+      if (i != slot && arbiter_.slot(i).phase == Phase::kAdmitted) wakes.granted.push_back(i);
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
     WorkerLine& line = shm_.slots[slot].worker;
     info.request = request_word(Want::kIdle, request_generation(A::peek(line.request)));

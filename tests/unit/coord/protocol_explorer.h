@@ -190,6 +190,7 @@ class ProtocolExplorer {
     Act act = Act::kIdle;
     std::size_t next = 0;     ///< job it is at
     int victim = -1;          ///< of kTook and kReturned
+    int wakes = -1;           ///< of kReturned: slot that it handed the XPU to
     bool lent = false;        ///< once
     std::uint32_t lends = 0;  ///< generation of the job to which it does
     std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
@@ -319,12 +320,17 @@ class ProtocolExplorer {
     module.act = ++module.next < world_.modules[m].size() ? Act::kIdle : Act::kDone;
   }
 
-  /// Rings the management thread of the one it took the XPU from, or gave it back to.
+  /// Rings the management thread of the one it took the XPU from, or gave it back to; wakes whom it
+  /// handed the XPU.
   void step_ring(State& s, std::size_t m) {
     Module& module = s.modules[m];
     const auto x = static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
-    Module& victim = s.modules[static_cast<std::size_t>(module.victim)];
-    if (victim.act != Act::kDead && !world_.lose_wakes) victim.managers[x].awake = true;
+    if (module.wakes >= 0 && !world_.lose_wakes) wake(s, x, module.wakes);
+    module.wakes = -1;
+    if (module.victim >= 0) {
+      Module& victim = s.modules[static_cast<std::size_t>(module.victim)];
+      if (victim.act != Act::kDead && !world_.lose_wakes) victim.managers[x].awake = true;
+    }
     module.victim = -1;
     if (module.act == Act::kTook)
       module.act = Act::kRun;
@@ -356,15 +362,13 @@ class ProtocolExplorer {
         }))
       return;
     if (signal) xpu.doorbell = true;
-    if (finished.wake >= 0 && !world_.lose_wakes) wake_pending_ = {{x, finished.wake}};
-    if (finished.victim >= 0) {
+    if (finished.victim >= 0 || finished.wake >= 0) {
       module.victim = finished.victim;
+      module.wakes = finished.wake;
       module.act = Act::kReturned;
       return;
     }
     end_job(module, m);
-    for (const auto& [wx, slot] : wake_pending_) wake(s, wx, slot);
-    wake_pending_.clear();
   }
 
   /// As Port::lend: the job may end meanwhile.
@@ -631,6 +635,7 @@ class ProtocolExplorer {
     for (const Module& module : s.modules) {
       h.add((static_cast<std::uint64_t>(module.act) * 64 + module.next) * 8 +
             static_cast<std::uint64_t>(module.victim + 1));
+      h.add(static_cast<std::uint64_t>(module.wakes + 1));
       if (world_.lends) h.add(std::uint64_t{module.lends} << 1 | (module.lent ? 1u : 0u));
       for (const std::uint32_t g : module.generation) h.add(g);
       h.add(module.record);
@@ -805,7 +810,6 @@ class ProtocolExplorer {
   std::uint32_t choices_ = 0;           ///< ... of this step so far, one of which is
   std::optional<State> chosen_;
   std::string choice_;
-  std::vector<std::pair<std::size_t, int>> wake_pending_;
 };
 
 }  // namespace xauto::coord::testing
