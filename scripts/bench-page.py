@@ -22,8 +22,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 KINDS = {"model": "Model figures: computed, nothing ran.",
          "emulated": "Emulated: the real runtime, with stages that sleep for as long as they are said to take.",
          "measured": "Measured on this machine."}
-SHARE = ("The share of a CPU is that of three coordinators whose XNodes have neither order constraints nor preemptions within preemptions: "
-         "no job wakes them. A policy with order constraints wakes a coordinator for each. That cost is not in this table.")
+SHARE = ("The share of a CPU is that of three coordinators, their start-up left out. The follower of an order pair asks before its leader "
+         "has ended. What wakes a coordinator is a preemption within a preemption; these jobs hardly ever meet one.")
 
 
 def text_of(*command):
