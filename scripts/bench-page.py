@@ -24,8 +24,8 @@ KINDS = {"model": "Model figures: computed, nothing ran.",
          "measured": "Measured on this machine."}
 # Rows that are not XAuto's: what the kernel needs for the same at least, and other people's libraries.
 OTHERS = ("futex", "bare futex", "own-", "call", "tbb", "cyclone", "iceoryx", "starpu")
-SHARE = ("The share of a CPU is that of three coordinators whose XNodes have neither order constraints nor preemptions within preemptions: "
-         "no job wakes them. A policy with order constraints wakes a coordinator for each. That cost is not in this table.")
+SHARE = ("The share of a CPU is that of three coordinators, their start-up left out. The follower of an order pair asks before its leader "
+         "has ended. What wakes a coordinator is a preemption within a preemption; these jobs hardly ever meet one.")
 
 
 def text_of(*command):

@@ -54,7 +54,8 @@ inline std::string next_address() {
 }
 
 inline std::unique_ptr<Process> start_coordinator(const std::string& address, Discipline discipline,
-                                                  int core, bool fifo, std::size_t xnodes = 64) {
+                                                  int core, bool fifo, std::size_t xnodes = 64,
+                                                  coord::OrderPairs order = {}) {
   auto process = std::make_unique<Process>([&] {
     (void)rt::pin_to_core(core);
     rt::set_timer_slack_1ns();
@@ -65,6 +66,7 @@ inline std::unique_ptr<Process> start_coordinator(const std::string& address, Di
     options.xpu = "x";
     options.discipline = discipline;
     options.xnodes.assign(xnodes, "n");
+    options.order = order;
     auto server = coord::Server::create(std::move(options));
     const int never = eventfd(0, EFD_CLOEXEC);
     if (server) (void)(*server)->run(never);

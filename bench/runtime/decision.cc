@@ -183,6 +183,65 @@ double bare_wake_ups(const Cores& c, int hz, const Options& options) {
   return share;
 }
 
+/// 40 XNodes on 3 XPUs as 20 order pairs: the follower asks first, and is granted by its leader's FINISH.
+void ordered_pairs(const Options& options, Table& table, int hz) {
+  const Cores c = cores();
+  constexpr std::size_t kXpus = 3, kPairs = 20;
+  std::vector<std::unique_ptr<Process>> processes;
+  std::vector<std::unique_ptr<coord::Port>> ports;
+  for (std::size_t x = 0; x < kXpus; ++x) {
+    const std::string address = next_address();
+    const coord::OrderPairs order{{0, 1}};
+    processes.push_back(
+        start_coordinator(address, Discipline::kPreemptive, c.second, options.fifo, 64, order));
+    ports.push_back(*coord::Port::connect(address, "leader", {0}, order));
+    ports.push_back(*coord::Port::connect(address, "follower", {1}, order));
+  }
+  std::array<std::atomic<std::uint32_t>, kXpus> asked{}, ran{};
+  std::atomic<bool> quit{false};
+  std::vector<std::thread> threads;
+  for (std::size_t x = 0; x < kXpus; ++x)
+    threads.emplace_back([&, x] {
+      (void)rt::pin_to_core(c.first);
+      for (std::uint32_t seen = 0;;) {
+        while (asked[x].load() == seen) futex_wait(asked[x], seen);
+        ++seen;
+        if (quit.load()) return;
+        ports[2 * x + 1]->start({1, seen, coord::key_of_priority(20)});
+        ports[2 * x + 1]->finish();
+        ran[x].store(seen);
+        futex_wake(ran[x], 1);
+      }
+    });
+  (void)rt::pin_to_core(c.first);
+  const auto cpu = [&] {
+    std::int64_t ns = 0;
+    for (const auto& process : processes) ns += process->cpu_ns();
+    return ns;
+  };
+  const std::int64_t start = now_ns(), before = cpu();
+  const auto total = static_cast<std::uint64_t>(options.seconds * hz * kPairs);
+  for (std::uint64_t pair = 0; pair < total; ++pair) {
+    sleep_until_ns(start + static_cast<std::int64_t>(static_cast<double>(pair) * 1e9 /
+                                                     (hz * static_cast<double>(kPairs))));
+    const std::size_t x = pair % kXpus;
+    const std::uint32_t number = asked[x].fetch_add(1) + 1;
+    futex_wake(asked[x], 1);
+    sleep_until_ns(now_ns() + 100'000);  // it waits for its leader
+    ports[2 * x]->start({0, number, coord::key_of_priority(10)});
+    ports[2 * x]->finish();
+    for (std::uint32_t seen; (seen = ran[x].load()) != number;) futex_wait(ran[x], seen);
+  }
+  table.add("coordinator", fmt::format("20 order pairs at {} Hz", hz), "share of a CPU, %",
+            100.0 * static_cast<double>(cpu() - before) / static_cast<double>(now_ns() - start));
+  quit.store(true);
+  for (auto& word : asked) {
+    word.fetch_add(1);
+    futex_wake(word, 1);
+  }
+  for (std::thread& thread : threads) thread.join();
+}
+
 }  // namespace
 
 void decisions(const Options& options, Table& table) {
@@ -287,6 +346,7 @@ void coordinators(const Options& options, Table& table) {
     }
     for (std::thread& thread : threads) thread.join();
   }
+  for (const int hz : {10, 100}) ordered_pairs(options, table, hz);
 }
 
 }  // namespace xauto::bench

@@ -45,10 +45,11 @@ bool Arbiter::settled() const {
   const int owner = admitted();
   for (int i = 0; i < high(); ++i) {
     const Slot& s = slot(i);
-    if (s.phase == Phase::kAdmitted && i != owner) return false;
+    if (s.phase == Phase::kAdmitted && i != owner && discipline_ != Discipline::kKernel)
+      return false;
     if (s.queue != Queue::kEnabled && !(i == owner && s.queue == Queue::kResuming)) return false;
-    // Whoever finishes hands over; without an owner nobody would.
-    if (s.phase == Phase::kWaiting && (owner < 0 || !eligible(s.job))) return false;
+    // Whoever finishes hands over, to who waits for it as well; without an owner nobody would.
+    if (s.phase == Phase::kWaiting && owner < 0 && eligible(s.job)) return false;
   }
   return true;
 }

@@ -97,8 +97,9 @@ class Arbiter {
   /// As it was found in shared memory by a new coordinator. Decides nothing.
   void restore(int slot, const Slot& state);
 
-  /// Nobody needs the coordinator: at most one job is admitted, its queue is enabled or on its way
-  /// there, no other queue is touched, and nobody waits who could not be handed the XPU.
+  /// Nobody needs the coordinator: at most one job is admitted (but where the kernel schedules), its
+  /// queue is enabled or on its way there, no other queue is touched, and nobody waits whom no FINISH
+  /// would find.
   [[nodiscard]] bool settled() const;
   /// The admitted job; -1 if there is none.
   [[nodiscard]] int admitted() const;
@@ -112,6 +113,8 @@ class Arbiter {
   }
   [[nodiscard]] Discipline discipline() const { return discipline_; }
   [[nodiscard]] const Order& order() const { return order_; }
+  /// As it was told last.
+  [[nodiscard]] std::uint64_t finished(std::uint32_t xnode) const { return finished_[xnode]; }
   /// No job and no queue in any other state than enabled: the fast path may have the XPU back.
   [[nodiscard]] bool idle() const;
   /// The slot whose job is the most urgent eligible one; -1 if there is none.

@@ -72,6 +72,9 @@ class Referee {
     thread_.check();
     // First of all: a FINISH that is just handing over to the dead must not succeed.
     take_over(wakes);
+    // It may have handed over, and died before it woke the other.
+    for (int i = 0; i < high(); ++i)
+      if (i != slot && arbiter_.slot(i).phase == Phase::kAdmitted) wakes.granted.push_back(i);
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
     WorkerLine& line = shm_.slots[slot].worker;
     info.request = request_word(Want::kIdle, request_generation(A::peek(line.request)));
@@ -116,7 +119,7 @@ class Referee {
       slot.job = read_job(i, info.request);
       const Want want = request_want(info.request);
       const std::uint32_t generation = request_generation(info.request);
-      if (want == Want::kRun || want == Want::kNotEligible) {
+      if (want == Want::kRun) {
         const bool owns = owner_slot(owner) == i && owner_generation(owner) == generation;
         const bool owned = taking.victim == i && taking.generation == generation;
         const bool granted = A::load(memory.coordinator.grant) == generation;
@@ -267,30 +270,31 @@ class Referee {
     bool parked = false;
     for (int i = 0; i < kMaxSlots; ++i) {
       const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
-      if (!info.used || arbiter_.slot(i).phase != Phase::kWaiting) continue;
-      if (request_want(info.request) != Want::kRun) return false;  // only we may start it
-      parked = true;
+      parked = parked || (info.used && arbiter_.slot(i).phase == Phase::kWaiting);
     }
-    const bool kernel = arbiter_.discipline() == Discipline::kKernel;  // has no owner
+    const bool kernel = arbiter_.discipline() == Discipline::kKernel;  // has no owner, nobody parks
     const int owner = kernel ? -1 : arbiter_.admitted();
     const std::uint64_t word = A::peek(shm_.header->owner);  // ours
-    std::uint64_t back = one_more_parked(word) & kParkings;
+    std::uint64_t back = one_more_parked(word) & (kParkings | (parked && !kernel ? kParked : 0));
     if (owner >= 0)
       back |=
-          owner_word(owner, request_generation(slots_[static_cast<std::size_t>(owner)].request)) |
-          (parked ? kParked : 0);
+          owner_word(owner, request_generation(slots_[static_cast<std::size_t>(owner)].request));
     A::store(shm_.header->owner, back);
     fat_ = false;
     return true;
   }
 
-  /// A START or FINISH that still saw our word has written its request before that.
+  /// A START or FINISH that still saw our word has written its request before that; a release that
+  /// was lost, that it has finished.
   [[nodiscard]] bool something_was_missed() const {
     for (int i = 0; i < high(); ++i) {
       const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
       if (info.used && A::load(shm_.slots[i].worker.request) != info.request) return true;
     }
-    return false;
+    const std::vector<std::uint32_t>& predecessors = arbiter_.order().predecessors();
+    return std::any_of(predecessors.begin(), predecessors.end(), [&](std::uint32_t xnode) {
+      return A::load(shm_.finished[xnode]) > arbiter_.finished(xnode);
+    });
   }
 
   [[nodiscard]] Job read_job(int slot, std::uint32_t& request) const {
@@ -348,7 +352,6 @@ class Referee {
     const std::uint32_t generation = request_generation(request);
     switch (request_want(request)) {
       case Want::kRun:
-      case Want::kNotEligible:
         if (owns == generation) {
           if (arbiter_.slot(slot).phase != Phase::kAdmitted)
             arbiter_.adopt(slot, job, held_actions());

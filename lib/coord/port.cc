@@ -2,6 +2,7 @@
 #include "coord/port.h"
 
 #include <algorithm>
+#include <bit>
 #include <cerrno>
 #include <climits>
 #include <cstring>
@@ -182,8 +183,13 @@ void Port::wait() {
 
 void Port::finish() {
   if (lost()) return;
-  const Finished finished = words_.finish(slot_, generation_, job_);
-  if (finished.wake >= 0) futex_wake(shm_.slots[finished.wake].coordinator.grant, 1);
+  tell(words_.finish(slot_, generation_, job_));
+}
+
+/// Whoever has something to do by it.
+void Port::tell(const Finished& finished) {
+  for (std::uint64_t wakes = finished.wakes; wakes != 0; wakes &= wakes - 1)
+    futex_wake(shm_.slots[std::countr_zero(wakes)].coordinator.grant, 1);
   if (finished.victim >= 0) ring_manager(finished.victim);
   if (finished.ring) ring();
 }
@@ -213,7 +219,7 @@ std::int64_t Port::beside_ns(std::int64_t since_ns, std::int64_t until_ns) const
 }
 
 void Port::skip(std::uint32_t xnode, std::uint64_t sequence) {
-  if (!lost() && words_.skip(xnode, sequence)) ring();
+  if (!lost()) tell(words_.skip(xnode, sequence));
 }
 
 void Port::ring() {
@@ -258,8 +264,7 @@ std::optional<Port::Begun> Port::begun(std::uint32_t xnode, std::uint64_t sequen
   const bool same = line.xnode.load() == xnode && line.sequence.load() == sequence;
   const Key key = with_lent<RealAtomics>(line, generation, line.key.load());
   // The execution thread may be at its next job by now.
-  if ((want != Want::kRun && want != Want::kNotEligible) || !same || line.request.load() != request)
-    return std::nullopt;
+  if (want != Want::kRun || !same || line.request.load() != request) return std::nullopt;
   return Begun{generation, key};
 }
 

@@ -93,6 +93,7 @@ class alignas(64) Port {
   [[nodiscard]] Status introduce(const Hello& hello, int timeout_ms);
   [[nodiscard]] Status watch_socket();
   [[nodiscard]] bool rejoin();
+  void tell(const Finished& finished);
   void ring();
   void ring_manager(int slot);
 

@@ -307,23 +307,30 @@ std::string Server::state_of(int index, bool fat) const {
   const std::uint32_t request = memory.worker.request.load(std::memory_order_seq_cst);
   const Want want = request_want(request);
   // A fat word still names who had the XPU last; whether that job runs is the arbiter's to say.
-  const bool owns =
-      !fat && owner_slot(owner) == index && owner_generation(owner) == request_generation(request);
-  if (want == Want::kRuns || (want == Want::kRun && owns)) return "running";
+  const std::uint32_t generation = request_generation(request);
+  const bool owns = !fat && owner_slot(owner) == index && owner_generation(owner) == generation;
+  const bool granted =
+      options_.discipline == Discipline::kKernel && memory.coordinator.grant.load() == generation;
+  if (want == Want::kRuns || (want == Want::kRun && (owns || granted))) return "running";
+  const auto waits = [&] {
+    const Job job = referee_->job_of(index);
+    return referee_->arbiter().order().eligible(
+               job.xnode, job.sequence, [&](std::uint32_t u) { return shm_.finished[u].load(); })
+               ? "waiting"
+               : "waiting for its order predecessors";
+  };
   if (!fat) {
     if (want != Want::kRun) return "idle";
-    return (memory.coordinator.command.load() & 1u) != 0 ? "suspended" : "waiting";
+    return (memory.coordinator.command.load() & 1u) != 0 ? "suspended" : waits();
   }
   const Arbiter::Slot& slot = referee_->arbiter().slot(index);
-  if (slot.phase == Phase::kWaiting)
-    return referee_->arbiter().eligible(slot.job) ? "waiting"
-                                                  : "waiting for its order predecessors";
+  if (slot.phase == Phase::kWaiting) return waits();
   if (slot.phase == Phase::kAdmitted) {
     static constexpr const char* kQueues[] = {"running", "being suspended", "suspended",
                                               "being resumed"};
     return kQueues[static_cast<int>(slot.queue)];
   }
-  return want == Want::kRun || want == Want::kNotEligible ? "starting" : "idle";
+  return want == Want::kRun ? "starting" : "idle";
 }
 
 /// The slot for whose job others wait; -1: nobody's.

@@ -12,8 +12,8 @@
 // one atomic each; a job that is less urgent than the owner parks, and the owner's FINISH hands the
 // XPU over to the most urgent that is parked: one wake-up, and no coordinator. A job that is more
 // urgent takes the XPU: it commands the owner's management thread to suspend, and runs; its FINISH
-// gives the XPU back. What is more than that, an order constraint, and a death are the
-// coordinator's.
+// gives the XPU back. A job whose order predecessors have not finished parks, too. What is more than
+// that, and a death, are the coordinator's.
 //
 //          START: CAS               START of a less urgent job: CAS, parks      (the count in the
 //     0 ──────────────► {owner} ─────────────────────────► {owner, kParked}     word makes FINISH
@@ -30,7 +30,16 @@
 //                          │
 //            {.., kFat}: the coordinator alone writes the word; every START and FINISH rings
 //                          │ no queue is suspended or being suspended, one job at most is admitted
-//                          └──► back to 0, {owner} or {owner, kParked}
+//                          └──► back to 0, {kParked}, {owner} or {owner, kParked}
+//
+// Order: {kParked} is 0 where all that are parked wait for their predecessors. A FINISH first says, in
+// `finished`, that its XNode has ended, and then looks at the word; it hands over to the most urgent
+// that is eligible. A START that is not eligible parks, and then looks once more whether it is. So
+// one of the two sees the other. A release that is lost says so, too: whom that makes eligible may be
+// more urgent than the owner, so where somebody is parked the coordinator decides. On an XPU that the
+// kernel schedules there is no owner, and the word does not change: a START that is not eligible
+// writes its request, looks once more, and waits; who says that an XNode has ended looks at the
+// requests, and grants all that are eligible.
 //
 // Where the hardware preempts by levels nobody takes: a job that meets nobody, or is handed the XPU,
 // is on the lowest level, and for one that is more urgent than the owner the coordinator decides.
@@ -46,7 +55,7 @@
 // for): its management thread writes the key, sets kFat, and rings.
 //
 // A START writes its request before it looks at the owner word; the coordinator looks at all
-// requests after it has handed the word back. Hence no START is lost, whichever way the words are
+// requests, and at what has finished, after it has handed the word back. Hence no START is lost, whichever way the words are
 // interleaved: tests/unit/coord/protocol_test.cc tries all ways, with deaths.
 //
 // Who writes: [W] the worker of the slot, [C] the coordinator, [*] both, by the protocol above.
@@ -61,7 +70,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 8;
+inline constexpr std::uint32_t kShmVersion = 9;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -86,10 +95,9 @@ constexpr std::uint64_t one_more_parked(std::uint64_t word) {
 
 /// Request word: bits 0..1 what the worker's job is doing, bits 2..31 its generation.
 enum class Want : std::uint32_t {
-  kIdle = 0,         ///< no job
-  kRun = 1,          ///< has a job: running if it is the owner or was granted, parked otherwise
-  kRuns = 2,         ///< kernel-scheduled XPU: runs without asking
-  kNotEligible = 3,  ///< has a job that was not eligible: the coordinator says when
+  kIdle = 0,  ///< no job
+  kRun = 1,   ///< has a job: running if it is the owner or was granted, parked otherwise
+  kRuns = 2,  ///< kernel-scheduled XPU: runs without asking
 };
 inline constexpr std::uint32_t kGenerationMask = (1u << 30) - 1;
 inline constexpr std::uint32_t kNoGeneration = UINT32_MAX;

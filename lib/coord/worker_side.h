@@ -88,7 +88,7 @@ struct Rules {
 enum class Started : std::uint8_t {
   kRuns,     ///< run
   kTook,     ///< wake the victim's management thread, and run
-  kWaits,    ///< wait for the grant: the owner hands over
+  kWaits,    ///< wait for the grant: a FINISH hands over
   kDecided,  ///< ring, then wait for the grant: the coordinator decides
 };
 
@@ -99,10 +99,14 @@ struct Start {
 
 /// What the caller has to do after FINISH.
 struct Finished {
-  int wake = -1;      ///< slot whose grant was written: wake it
-  bool ring = false;  ///< the coordinator decides
-  int victim = -1;    ///< slot that has the XPU back: wake its management thread
+  std::uint64_t wakes = 0;  ///< bit per slot whose grant was written: wake them
+  bool ring = false;        ///< the coordinator decides
+  int victim = -1;          ///< slot that has the XPU back: wake its management thread
 };
+constexpr std::uint64_t slot_bit(int slot) {
+  return 1ull << slot;
+}
+static_assert(kMaxSlots <= 64);
 
 template <class A>
 class Words {
@@ -110,10 +114,7 @@ class Words {
   Words() = default;
   Words(Shm shm, const Rules* rules) : shm_(shm), rules_(rules) {}
 
-  [[nodiscard]] bool eligible(const Job& job) const {
-    return rules_->order.eligible(job.xnode, job.sequence,
-                                  [&](std::uint32_t u) { return A::load(shm_.finished[u]); });
-  }
+  [[nodiscard]] bool eligible(const Job& job) const { return eligible(job.xnode, job.sequence); }
 
   Start start(int slot, std::uint32_t generation, const Job& job) const {
     WorkerLine& line = shm_.slots[slot].worker;
@@ -121,24 +122,32 @@ class Words {
     A::store_relaxed(line.key, job.key);
     A::store_relaxed(line.sequence, job.sequence);
     A::store_relaxed(line.since_ns, job.since_ns);
-    const bool may = eligible(job);
+    bool may = eligible(job);
     const bool kernel = rules_->discipline == Discipline::kKernel;
-    if (may && kernel) {
-      A::store(line.request, request_word(Want::kRuns, generation));
+    A::store(line.request, request_word(may && kernel ? Want::kRuns : Want::kRun, generation));
+    if (kernel) {
+      if (may) return {};
+      if (!eligible(job)) return {Started::kWaits};
+      give<A>(shm_.slots[slot].coordinator.grant, generation);
       return {};
     }
-    A::store(line.request, request_word(may ? Want::kRun : Want::kNotEligible, generation));
     std::atomic<std::uint64_t>& owner = shm_.header->owner;
     std::uint64_t seen = A::load(owner);
     for (;;) {
       if ((seen & kFat) != 0) return {Started::kDecided};
       const int other = owner_slot(seen);
-      if (!may || other >= kMaxSlots) {
+      if (other >= kMaxSlots) {
         if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
-      } else if (other < 0) {
-        if (A::cas(owner, seen, (seen & kParkings) | owner_word(slot, generation))) return {};
       } else if (other == slot && owner_generation(seen) == generation) {
         return {};  // handed over to us before we could park
+      } else if (!may) {
+        if (!A::cas(owner, seen, one_more_parked(seen))) continue;
+        may = eligible(job);  // the last predecessor's FINISH may not have seen us
+        if (!may) return {Started::kWaits};
+        seen = A::load(owner);
+      } else if (other < 0) {
+        if (A::cas(owner, seen, (seen & (kParkings | kParked)) | owner_word(slot, generation)))
+          return {};
       } else if (urgent_enough(job, slot, other, seen)) {
         if (rules_->discipline == Discipline::kLevels) {
           if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
@@ -163,15 +172,19 @@ class Words {
   }
 
   Finished finish(int slot, std::uint32_t generation, const Job& job) const {
-    if (rules_->order.tracks(job.xnode)) mark_finished(job.xnode, job.sequence + 1);
+    const bool awaited = rules_->order.tracks(job.xnode);
+    if (awaited) mark_finished(job.xnode, job.sequence + 1);
     A::store(shm_.slots[slot].worker.request, request_word(Want::kIdle, generation));
     std::atomic<std::uint64_t>& owner = shm_.header->owner;
     std::uint64_t seen = A::load(owner);
-    if (rules_->discipline == Discipline::kKernel) return {-1, (seen & kFat) != 0};
+    if (rules_->discipline == Discipline::kKernel) {
+      if ((seen & kFat) != 0) return {0, true};
+      return {awaited ? let_run() : 0};
+    }
     for (;;) {
-      if ((seen & kFat) != 0) return {-1, true};
+      if ((seen & kFat) != 0) return {0, true};
       if (owner_slot(seen) != slot) {  // taken from us, and over before it was suspended
-        if (A::cas(owner, seen, seen | kFat)) return {-1, true};
+        if (A::cas(owner, seen, seen | kFat)) return {0, true};
         continue;
       }
       if ((seen & kTaken) != 0) {
@@ -179,7 +192,7 @@ class Words {
         const std::uint64_t from = A::peek(line.victim);
         const Pick next = pick(slot);
         if (next.slot != owner_slot(from) || next.generation != owner_generation(from)) {
-          if (A::cas(owner, seen, seen | kFat)) return {-1, true};
+          if (A::cas(owner, seen, seen | kFat)) return {0, true};
           continue;
         }
         const std::uint64_t back =
@@ -187,28 +200,32 @@ class Words {
         if (!A::cas(owner, seen, (seen & kParkings) | back)) continue;
         command<A>(shm_.slots[next.slot].coordinator.command,
                    next_command(A::peek(line.victim_command), true), false);
-        return {-1, false, next.slot};
+        return {0, false, next.slot};
       }
       if ((seen & kParked) == 0) {
         if (A::cas(owner, seen, seen & kParkings)) return {};
         continue;
       }
       const Pick next = pick(slot);
-      const std::uint64_t after =
-          (seen & kParkings) |
-          (next.slot < 0 ? 0 : owner_word(next.slot, next.generation) | (next.more ? kParked : 0));
+      const std::uint64_t after = (seen & kParkings) | (next.more ? kParked : 0) |
+                                  (next.slot < 0 ? 0 : owner_word(next.slot, next.generation));
       if (!A::cas(owner, seen, after)) continue;
       if (next.slot < 0) return {};
       give<A>(shm_.slots[next.slot].coordinator.grant, next.generation);
-      return {next.slot, false};
+      return {slot_bit(next.slot)};
     }
   }
 
-  /// Returns whether to ring.
-  bool skip(std::uint32_t xnode, std::uint64_t sequence) const {
-    if (!rules_->order.tracks(xnode)) return false;
+  /// This release of the XNode will never come.
+  Finished skip(std::uint32_t xnode, std::uint64_t sequence) const {
+    if (!rules_->order.tracks(xnode)) return {};
     mark_finished(xnode, sequence + 1);
-    return (A::load(shm_.header->owner) & kFat) != 0;
+    std::atomic<std::uint64_t>& owner = shm_.header->owner;
+    std::uint64_t seen = A::load(owner);
+    if (rules_->discipline == Discipline::kKernel && (seen & kFat) == 0) return {let_run()};
+    while ((seen & (kFat | kParked)) == kParked && !A::cas(owner, seen, seen | kFat)) {
+    }
+    return {0, (seen & (kFat | kParked)) != 0};
   }
 
   /// Returns whether to ring.
@@ -244,8 +261,13 @@ class Words {
   struct Pick {
     int slot = -1;
     std::uint32_t generation = 0;
-    bool more = false;  ///< others are parked, too
+    bool more = false;  ///< others are parked, too; those of who is not eligible are
   };
+
+  [[nodiscard]] bool eligible(std::uint32_t xnode, std::uint64_t sequence) const {
+    return rules_->order.eligible(xnode, sequence,
+                                  [&](std::uint32_t u) { return A::load(shm_.finished[u]); });
+  }
 
   /// Whether a job that comes preempts the owner that `seen` names.
   bool urgent_enough(const Job& job, int slot, int other, std::uint64_t seen) const {
@@ -259,23 +281,44 @@ class Words {
     return with_lent<A>(line, owner_generation(word), A::load(line.key));
   }
 
-  /// The most urgent job that is parked (or is about to park: then it finds itself the owner), by
-  /// keys of their own: whom one was lent is the owner or its victim, and the coordinator decides
-  /// where that is not the choice made here.
+  /// The most urgent eligible job that is parked (or is about to park: then it finds itself the
+  /// owner), by keys of their own: whom one was lent is the owner or its victim, and the coordinator
+  /// decides where that is not the choice made here.
   Pick pick(int self) const {
     std::uint32_t generations[kMaxSlots];
     Next next;
+    bool ordered = false;
     const int high = static_cast<int>(A::peek(shm_.header->high));
     for (int i = 0; i < high && i < kMaxSlots; ++i) {
       if (i == self) continue;
       const WorkerLine& line = shm_.slots[i].worker;
       const std::uint32_t request = A::load(line.request);
       if (request_want(request) != Want::kRun) continue;
+      if (!eligible(A::peek(line.xnode), A::peek(line.sequence))) {
+        ordered = true;
+        continue;
+      }
       generations[i] = request_generation(request);
       next.consider({A::peek(line.key), A::peek(line.since_ns), i});
     }
-    if (next.slot() < 0) return {};
-    return {next.slot(), generations[next.slot()], next.more()};
+    if (next.slot() < 0) return {-1, 0, ordered};
+    return {next.slot(), generations[next.slot()], next.more() || ordered};
+  }
+
+  /// On an XPU that the kernel schedules: grants all that wait and are eligible by now. Their slots.
+  [[nodiscard]] std::uint64_t let_run() const {
+    std::uint64_t slots = 0;
+    const int high = static_cast<int>(A::peek(shm_.header->high));
+    for (int i = 0; i < high && i < kMaxSlots; ++i) {
+      SlotMemory& memory = shm_.slots[i];
+      const std::uint32_t request = A::load(memory.worker.request);
+      const std::uint32_t generation = request_generation(request);
+      if (request_want(request) != Want::kRun || granted(i, generation)) continue;
+      if (!eligible(A::peek(memory.worker.xnode), A::peek(memory.worker.sequence))) continue;
+      give<A>(memory.coordinator.grant, generation);
+      slots |= slot_bit(i);
+    }
+    return slots;
   }
 
   void mark_finished(std::uint32_t xnode, std::uint64_t count) const {

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <ctime>
 
 #include <fcntl.h>
 #include <signal.h>
@@ -51,6 +52,12 @@ Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
     return fail(ErrorCode::kUnavailable,
                 "ended before it was ready" + (exit ? " (" + exit->to_string() + ")" : ""), name);
   }
+}
+
+/// CPU time that it has used so far.
+std::int64_t cpu_us(const Child& child) {
+  clockid_t clock;
+  return clock_getcpuclockid(child.pid(), &clock) == 0 ? clock_ns(clock) / 1000 : 0;
 }
 
 }  // namespace
@@ -125,6 +132,7 @@ Status Daemons::start_coordinators(const runtime::Session& session, Sockets& soc
     options.inherit = {session_fd};
     daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
     XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
+    daemon.start_up_us = cpu_us(daemon.child);
     XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
     daemons_.push_back(std::move(daemon));
   }
@@ -133,7 +141,8 @@ Status Daemons::start_coordinators(const runtime::Session& session, Sockets& soc
 
 /// A daemon has died: the next one goes on with what it left, and no job notices.
 bool Daemons::restart(Daemon& daemon, const Exit& exit) {
-  if (daemon.coordinator) coordinators_cpu_us_ += exit.cpu_us;
+  if (daemon.coordinator)
+    coordinators_cpu_us_ += std::max<std::int64_t>(0, exit.cpu_us - daemon.start_up_us);
   ++deaths_;
   Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
   // One that dies while it starts is followed, too, but not for ever.
@@ -148,6 +157,7 @@ bool Daemons::restart(Daemon& daemon, const Exit& exit) {
     return false;
   }
   daemon.child = std::move(*child);
+  daemon.start_up_us = cpu_us(daemon.child);
   const std::string what = daemon.name + " died (" + exit.to_string() + ")";
   log::warn("{} and was started again", what);
   if (++daemon.deaths == 1) {
@@ -210,7 +220,8 @@ void Daemons::stop(int grace_ms) {
   thread_.check();
   for (Daemon& daemon : daemons_) {
     const Exit exit = daemon.child.stop(grace_ms);
-    if (daemon.coordinator) coordinators_cpu_us_ += exit.cpu_us;
+    if (daemon.coordinator)
+      coordinators_cpu_us_ += std::max<std::int64_t>(0, exit.cpu_us - daemon.start_up_us);
   }
 }
 

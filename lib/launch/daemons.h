@@ -59,7 +59,7 @@ class Daemons {
   [[nodiscard]] std::uint64_t deaths() const { return deaths_; }
   /// Of which daemons these were, a line each: "xauto-emud died and was restarted, 2 times".
   [[nodiscard]] std::vector<std::string> who_died() const;
-  /// CPU time of all coordinators together.
+  /// CPU time of all coordinators together, each from when it served.
   [[nodiscard]] std::int64_t coordinators_cpu_us() const { return coordinators_cpu_us_; }
 
  private:
@@ -70,6 +70,7 @@ class Daemons {
     bool noticed = false;
     SpawnOptions options;  ///< to start it again
     UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
+    std::int64_t start_up_us = 0;  ///< CPU time of a coordinator until it served
     int starts = 1;
     int deaths = 0;            ///< after which it was started again
     std::size_t note = 0;      ///< where the notes say so

@@ -70,8 +70,9 @@ struct Outcome {
   std::vector<std::string>
       gone;  ///< modules' processes that died and were not started again, a line each
   std::vector<std::string> dead_daemons;  ///< which of these were daemons, a line each
-  std::int64_t coordinators_cpu_us = 0;   ///< CPU time of all coordinators together
-  double wall_s = 0;                      ///< of the app
+  std::int64_t coordinators_cpu_us =
+      0;              ///< CPU time of all coordinators together, start-up left out
+  double wall_s = 0;  ///< of the app
 };
 
 /// Errors: something could not be started, or the app answered with an error (that very error).

@@ -15,12 +15,15 @@
 // many times: what goes wrong in few of its states is not found so.
 #pragma once
 
+#include <array>
+#include <bit>
 #include <cstdint>
 #include <cstring>
 #include <memory>
 #include <optional>
 #include <random>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -39,6 +42,29 @@ struct Stop {};
 
 struct SteppedAtomics {
   static inline Record* record = nullptr;  ///< null: set-up, everything at once
+  static constexpr std::uint32_t kXNodes = 8;
+  /// Break it: what this operation takes for true of what has finished.
+  enum class Belief : std::uint8_t {
+    kWhatIsThere,
+    kAllFinished,   ///< but its own XNode
+    kWhatWasThere,  ///< ... when it looked first
+  };
+  static inline Belief belief = Belief::kWhatIsThere;
+  static inline const std::atomic<std::uint64_t>* finished = nullptr;  ///< [kXNodes]
+  static inline std::uint32_t own = 0;                                 ///< XNode
+  static inline std::array<std::optional<std::uint64_t>, kXNodes> first;
+
+  template <class T>
+  static T believed(const std::atomic<T>& x, T value) {
+    if constexpr (std::is_same_v<T, std::uint64_t>) {
+      if (belief == Belief::kWhatIsThere || &x < finished || &x >= finished + kXNodes) return value;
+      const auto xnode = static_cast<std::size_t>(&x - finished);
+      if (belief == Belief::kAllFinished) return xnode == own ? value : UINT64_MAX;
+      if (!first[xnode]) first[xnode] = value;
+      return *first[xnode];
+    }
+    return value;
+  }
 
   template <class Access>
   static std::uint64_t access(Access now, bool yields = true) {
@@ -53,7 +79,8 @@ struct SteppedAtomics {
   }
   template <class T>
   static T load(const std::atomic<T>& x) {
-    return static_cast<T>(access([&] { return static_cast<std::uint64_t>(x.load()); }));
+    return believed(x,
+                    static_cast<T>(access([&] { return static_cast<std::uint64_t>(x.load()); })));
   }
   template <class T>
   static T peek(const std::atomic<T>& x) {
@@ -103,6 +130,7 @@ struct ProtocolWorld {
   struct Task {
     int xpu = 0;
     Job job;
+    bool lost = false;  ///< its release never comes
   };
   std::vector<Discipline> xpus;
   OrderPairs order;                        ///< on XPU 0
@@ -113,8 +141,10 @@ struct ProtocolWorld {
   bool may_refuse = false;
   /// Module 0's management thread may lend its running job this key, once, whenever it likes.
   std::optional<Key> lends = {};
-  bool coarse = false;      ///< the coordinator does all it does at once
-  bool lose_wakes = false;  ///< break it: whoever hands over does not wake
+  bool coarse = false;        ///< the coordinator does all it does at once
+  bool lose_wakes = false;    ///< break it: whoever hands over does not wake
+  bool blind_finish = false;  ///< break it: FINISH grants who waits for others
+  bool look_once = false;     ///< break it: START does not look again when it has parked
   int max_rounds = Referee<SteppedAtomics>::kMaxRounds;  ///< of one look of the coordinator
   bool lose_again = false;  ///< break it: a look that gave up is not followed by another one
   bool verbose = false;     ///< the trail tells the words
@@ -159,7 +189,7 @@ class ProtocolExplorer {
   }
 
  private:
-  static constexpr std::uint32_t kXNodes = 8;
+  static constexpr std::uint32_t kXNodes = A::kXNodes;
   static constexpr std::size_t kSlots = 4;
   struct Memory {
     Header header;
@@ -176,6 +206,7 @@ class ProtocolExplorer {
     kReturned,
     kRun,
     kFinish,
+    kSkip,
     kDone,
     kDead
   };
@@ -190,6 +221,7 @@ class ProtocolExplorer {
     Act act = Act::kIdle;
     std::size_t next = 0;     ///< job it is at
     int victim = -1;          ///< of kTook and kReturned
+    std::uint64_t wakes = 0;  ///< of kReturned
     bool lent = false;        ///< once
     std::uint32_t lends = 0;  ///< generation of the job to which it does
     std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
@@ -272,6 +304,7 @@ class ProtocolExplorer {
     record->at = 0;
     record->stepped = false;
     A::record = record;
+    A::first = {};
     bool complete = true;
     try {
       operation();
@@ -279,8 +312,16 @@ class ProtocolExplorer {
       complete = false;
     }
     A::record = nullptr;
+    A::belief = A::Belief::kWhatIsThere;
     if (complete) *record = {};
     return complete;
+  }
+
+  /// In the operation that follows.
+  void believe(A::Belief belief, const Xpu& xpu, std::uint32_t own) {
+    A::belief = belief;
+    A::finished = xpu.memory->finished;
+    A::own = own;
   }
 
   void wake(State& s, std::size_t x, int slot) {
@@ -302,6 +343,7 @@ class ProtocolExplorer {
     Job job = t.job;
     job.since_ns = m;
     bool signal = false;
+    if (world_.look_once) believe(A::Belief::kWhatWasThere, xpu, job.xnode);
     if (!advance(&module.record, [&] {
           start = words.start(static_cast<int>(m), generation, job);
           if (start.started == Started::kDecided) signal = words.ring();
@@ -319,12 +361,17 @@ class ProtocolExplorer {
     module.act = ++module.next < world_.modules[m].size() ? Act::kIdle : Act::kDone;
   }
 
-  /// Rings the management thread of the one it took the XPU from, or gave it back to.
+  /// Rings the management thread of the one it took the XPU from, or gave it back to; wakes whom it
+  /// handed the XPU.
   void step_ring(State& s, std::size_t m) {
     Module& module = s.modules[m];
     const auto x = static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
-    Module& victim = s.modules[static_cast<std::size_t>(module.victim)];
-    if (victim.act != Act::kDead && !world_.lose_wakes) victim.managers[x].awake = true;
+    for (; module.wakes != 0; module.wakes &= module.wakes - 1)
+      if (!world_.lose_wakes) wake(s, x, std::countr_zero(module.wakes));
+    if (module.victim >= 0) {
+      Module& victim = s.modules[static_cast<std::size_t>(module.victim)];
+      if (victim.act != Act::kDead && !world_.lose_wakes) victim.managers[x].awake = true;
+    }
     module.victim = -1;
     if (module.act == Act::kTook)
       module.act = Act::kRun;
@@ -350,21 +397,40 @@ class ProtocolExplorer {
     const Words<A> words(xpu.shm(), &rules_[x]);
     Finished finished;
     bool signal = false;
+    if (world_.blind_finish) believe(A::Belief::kAllFinished, xpu, t.job.xnode);
     if (!advance(&module.record, [&] {
           finished = words.finish(static_cast<int>(m), module.generation[x], t.job);
           if (finished.ring) signal = words.ring();
         }))
       return;
+    after_end(module, m, xpu, finished, signal);
+  }
+
+  void after_end(Module& module, std::size_t m, Xpu& xpu, const Finished& finished, bool signal) {
     if (signal) xpu.doorbell = true;
-    if (finished.wake >= 0 && !world_.lose_wakes) wake_pending_ = {{x, finished.wake}};
-    if (finished.victim >= 0) {
+    if (finished.victim >= 0 || finished.wakes != 0) {
       module.victim = finished.victim;
+      module.wakes = finished.wakes;
       module.act = Act::kReturned;
       return;
     }
     end_job(module, m);
-    for (const auto& [wx, slot] : wake_pending_) wake(s, wx, slot);
-    wake_pending_.clear();
+  }
+
+  void step_skip(State& s, std::size_t m) {
+    Module& module = s.modules[m];
+    const auto& t = task(module, static_cast<int>(m));
+    const auto x = static_cast<std::size_t>(t.xpu);
+    Xpu& xpu = s.xpus[x];
+    const Words<A> words(xpu.shm(), &rules_[x]);
+    Finished finished;
+    bool signal = false;
+    if (!advance(&module.record, [&] {
+          finished = words.skip(t.job.xnode, t.job.sequence);
+          if (finished.ring) signal = words.ring();
+        }))
+      return;
+    after_end(module, m, xpu, finished, signal);
   }
 
   /// As Port::lend: the job may end meanwhile.
@@ -464,7 +530,27 @@ class ProtocolExplorer {
     return module.act != Act::kDead && module.act != Act::kDone;
   }
 
+  /// Its exec has returned, or never will.
+  [[nodiscard]] bool over(const State& s, std::uint32_t xnode, std::uint64_t sequence) const {
+    for (std::size_t m = 0; m < s.modules.size(); ++m) {
+      const Module& module = s.modules[m];
+      const bool ends = module.act == Act::kFinish || module.act == Act::kSkip;
+      for (std::size_t i = module.next + (ends ? 1 : 0); i < world_.modules[m].size(); ++i)
+        if (const Job& job = world_.modules[m][i].job;
+            job.xnode == xnode && job.sequence == sequence)
+          return module.act == Act::kReturned || module.act == Act::kDead;
+    }
+    return true;
+  }
+
   void check_always(const State& s) {
+    for (std::size_t m = 0; m < s.modules.size(); ++m) {
+      if (s.modules[m].act != Act::kRun) continue;
+      const ProtocolWorld::Task& t = task(s.modules[m], static_cast<int>(m));
+      for (const auto& [u, v] : world_.order)
+        if (t.xpu == 0 && v == t.job.xnode && !over(s, u, t.job.sequence))
+          fail("a job runs although one that its policy orders before it has not ended");
+    }
     for (std::size_t x = 0; x < s.xpus.size(); ++x) {
       if (s.xpus[x].discipline == Discipline::kLevels) check_levels(s, x);
       if (s.xpus[x].discipline != Discipline::kGate) continue;
@@ -631,6 +717,7 @@ class ProtocolExplorer {
     for (const Module& module : s.modules) {
       h.add((static_cast<std::uint64_t>(module.act) * 64 + module.next) * 8 +
             static_cast<std::uint64_t>(module.victim + 1));
+      h.add(module.wakes);
       if (world_.lends) h.add(std::uint64_t{module.lends} << 1 | (module.lent ? 1u : 0u));
       for (const std::uint32_t g : module.generation) h.add(g);
       h.add(module.record);
@@ -727,6 +814,13 @@ class ProtocolExplorer {
       switch (module.act) {
         case Act::kIdle:
           possible = true;
+          if (task(module, static_cast<int>(m)).lost) {
+            go(s, "module skips", m, at, [&](State& to) {
+              to.modules[m].act = Act::kSkip;
+              step_skip(to, m);
+            });
+            break;
+          }
           go(s, "module starts", m, at, [&](State& to) {
             to.modules[m].act = Act::kStart;
             step_start(to, m);
@@ -756,6 +850,10 @@ class ProtocolExplorer {
         case Act::kFinish:
           busy = true;
           go(s, "module finishes", m, at, [&](State& to) { step_finish(to, m); });
+          break;
+        case Act::kSkip:
+          busy = true;
+          go(s, "module skips", m, at, [&](State& to) { step_skip(to, m); });
           break;
         case Act::kAsleep:
         case Act::kDone:
@@ -805,7 +903,6 @@ class ProtocolExplorer {
   std::uint32_t choices_ = 0;           ///< ... of this step so far, one of which is
   std::optional<State> chosen_;
   std::string choice_;
-  std::vector<std::pair<std::size_t, int>> wake_pending_;
 };
 
 }  // namespace xauto::coord::testing

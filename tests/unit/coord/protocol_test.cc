@@ -232,6 +232,118 @@ TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
   }
 }
 
+// Pairs of a policy's order: the FINISH of the first grants the second.
+
+constexpr Discipline kAll[] = {Discipline::kPreemptive, Discipline::kGate, Discipline::kLevels,
+                               Discipline::kKernel};
+
+ProtocolWorld ordered(Discipline d, OrderPairs order,
+                      std::vector<std::vector<ProtocolWorld::Task>> modules) {
+  ProtocolWorld w = world({d}, std::move(modules));
+  w.order = std::move(order);
+  w.coarse = true;
+  return w;
+}
+ProtocolWorld::Task lost(std::uint32_t xnode, std::uint64_t release) {
+  return {0, {xnode, release, key_of_priority(1)}, true};
+}
+ProtocolWorld::Task release(std::uint32_t xnode, std::int64_t priority, std::uint64_t number) {
+  return {0, {xnode, number, key_of_priority(priority)}};
+}
+
+TEST(Protocol, APairEveryAccess) {
+  for (const Discipline d : kAll) {
+    ProtocolWorld w = ordered(d, {{0, 1}}, {{task(0, 1)}, {task(1, 9)}});
+    w.coarse = false;
+    w.deaths = kSmallOnly || (d == Discipline::kPreemptive && !long_ones()) ? 0 : 1;
+    expect_clean(w, 100);
+  }
+}
+
+/// Of three, all ways where they are few, and else some of them.
+void expect_some_clean(const ProtocolWorld& world) {
+  const Discipline d = world.xpus.front();
+  if (d == Discipline::kKernel || (d == Discipline::kGate && world.deaths == 0) || full()) {
+    expect_clean(world, 100);
+    return;
+  }
+  const ProtocolResult result = ProtocolExplorer(world).walk(kSmallOnly ? 200 : 1'000, 1);
+  std::string trail;
+  for (const std::string& step : result.trail) trail += "\n  " + step;
+  EXPECT_EQ(result.violation, "") << trail;
+}
+
+/// Whoever comes between the two goes before the second, or after it, or waits for the first.
+TEST(Protocol, APairAndAThird) {
+  for (const Discipline d : kAll)
+    for (const std::int64_t third : {0, 5, 10}) {
+      ProtocolWorld w = ordered(d, {{0, 1}}, {{task(0, 1)}, {task(1, 9)}, {task(2, third)}});
+      w.limit = 400'000'000;
+      expect_some_clean(w);
+      w.deaths = 1;
+      if (d != Discipline::kPreemptive || !full()) expect_some_clean(w);
+    }
+}
+
+/// Two wait for one, one waits for two, and each waits for the one before.
+TEST(Protocol, SeveralPairs) {
+  for (const Discipline d : kAll)
+    for (const OrderPairs& order :
+         {OrderPairs{{0, 1}, {0, 2}}, OrderPairs{{0, 2}, {1, 2}}, OrderPairs{{0, 1}, {1, 2}}}) {
+      ProtocolWorld w = ordered(d, order, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+      w.limit = 400'000'000;
+      expect_some_clean(w);
+    }
+}
+
+TEST(Protocol, APairOfTwoReleases) {
+  for (const Discipline d : kAll) {
+    if (d == Discipline::kPreemptive && kSmallOnly) continue;
+    ProtocolWorld w = ordered(
+        d, {{0, 1}}, {{release(0, 1, 0), release(0, 1, 1)}, {release(1, 9, 0), release(1, 9, 1)}});
+    w.deaths = d == Discipline::kPreemptive && !long_ones() ? 0 : 1;
+    expect_clean(w, 100);
+  }
+}
+
+/// Who waits for a release that is lost goes on, at once if it is the most urgent.
+TEST(Protocol, APairWhoseFirstIsLost) {
+  for (const Discipline d : kAll) {
+    for (const std::int64_t third : {5, 10}) {
+      ProtocolWorld w = ordered(d, {{0, 1}}, {{lost(0, 0)}, {task(1, 9)}, {task(2, third)}});
+      w.deaths = d == Discipline::kPreemptive && !long_ones() ? 0 : 1;
+      expect_clean(w, 100);
+    }
+    // Every access: the second is lost while the coordinator looks at what the first one changed.
+    ProtocolWorld w = ordered(d, {{0, 1}}, {{lost(0, 0), lost(0, 1)}, {release(1, 9, 1)}});
+    w.coarse = false;
+    expect_clean(w, 100);
+  }
+}
+
+/// Modules in the order in which this fault shows soonest.
+TEST(Protocol, TheExplorerFindsAFollowerThatIsGrantedEarly) {
+  for (const Discipline d : kAll) {
+    ProtocolWorld w = ordered(d, {{0, 1}}, {{task(1, 9)}, {task(2, 5)}, {task(0, 1)}});
+    if (d == Discipline::kKernel) w.order.emplace_back(2, 1);  // nobody else grants there
+    w.blind_finish = true;
+    w.limit = 1'000;
+    EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+  }
+}
+
+TEST(Protocol, TheExplorerFindsAFollowerThatIsNeverGranted) {
+  for (const Discipline d : kAll) {
+    ProtocolWorld w = ordered(d, {{0, 1}}, {{task(0, 1)}, {task(1, 9)}});
+    w.limit = 10'000;
+    w.look_once = true;
+    EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+    w.look_once = false;
+    w.lose_wakes = true;
+    EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+  }
+}
+
 /// The least urgent may become the most urgent at any moment, also while others take the XPU from it,
 /// give it back, or come; and what is lent to a job is not lent to the next one of its worker.
 TEST(Protocol, AKeyThatIsLentDecidesAndEndsWithItsJob) {

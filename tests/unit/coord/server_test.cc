@@ -266,6 +266,32 @@ TEST(Server, OrderIsKeptAcrossWorkers) {
   }
 }
 
+TEST(Server, AFollowerNeedsNoCoordinator) {
+  for (const Discipline d :
+       {Discipline::kPreemptive, Discipline::kGate, Discipline::kLevels, Discipline::kKernel}) {
+    Running running(d, {{0, 1}}, 2);
+    const auto first = running.port(0), second = running.port(1);
+    running.end();  // nobody is there to decide
+    std::atomic<std::uint64_t> ended{0};
+    std::thread thread([&] {
+      for (std::uint64_t k = 0; k < 300; ++k) {
+        second->start(numbered(1, k, 9));
+        EXPECT_GT(ended.load(), k);
+        second->finish();
+      }
+    });
+    for (std::uint64_t k = 0; k < 300; ++k) {
+      // Before it has asked, and while it waits; it never meets the first one of a later release.
+      if (k % 3 != 0) wait_for([&] { return second->begun(1, k).has_value(); });
+      first->start(numbered(0, k, 1));
+      ended.store(k + 1);
+      first->finish();
+      wait_for([&] { return !second->begun(1, k).has_value() || k % 3 == 0; });
+    }
+    thread.join();
+  }
+}
+
 TEST(Server, WorkerThatDiesWhileRunningLetsTheOthersRun) {
   Running running(Discipline::kGate);
   auto dying = running.port(0);
