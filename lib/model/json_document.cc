@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "base/nearest.h"
 #include "base/number.h"
 #include "model/app.h"
 #include "model/json.h"
@@ -201,35 +202,11 @@ void list_known(const Place& place, const std::string& path, std::vector<std::st
     if (any != nullptr) list_known(*any, path + "/*", known);
 }
 
-/// Edit distance in which two neighbours exchanged count once (optimal string alignment).
-std::size_t distance(std::string_view a, std::string_view b) {
-  std::vector<std::vector<std::size_t>> d(a.size() + 1, std::vector<std::size_t>(b.size() + 1));
-  for (std::size_t i = 0; i <= a.size(); ++i)
-    for (std::size_t j = 0; j <= b.size(); ++j) {
-      if (i == 0 || j == 0) {
-        d[i][j] = i + j;
-        continue;
-      }
-      d[i][j] = std::min(
-          {d[i - 1][j] + 1, d[i][j - 1] + 1, d[i - 1][j - 1] + (a[i - 1] == b[j - 1] ? 0 : 1)});
-      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1])
-        d[i][j] = std::min(d[i][j], d[i - 2][j - 2] + 1);
-    }
-  return d[a.size()][b.size()];
-}
-
-/// The key of ours that was most probably meant: a third of its letters may be wrong.
-std::string nearest(const Place& place, const std::string& given) {
-  std::string best;
-  std::size_t least = SIZE_MAX;
-  if (given.size() > kMaxShown) return best;
-  for (const auto& [key, below] : place.keys) {
-    const std::size_t wrong = distance(given, key);
-    if (wrong > std::max<std::size_t>(1, key.size() / 3) || wrong >= least) continue;
-    least = wrong;
-    best = key;
-  }
-  return best;
+/// The key of ours that was most probably meant.
+std::string nearest_key(const Place& place, const std::string& given) {
+  std::vector<std::string> keys;
+  for (const auto& [key, below] : place.keys) keys.push_back(key);
+  return nearest(given, keys);
 }
 
 void list_unknown(const json& value, const Place& place, const std::string& path,
@@ -244,7 +221,7 @@ void list_unknown(const json& value, const Place& place, const std::string& path
     if (const Place* below = place.member ? place.member.get() : place.find(key))
       list_unknown(*member, *below, path + step(key), unknown);
     else if (!key.starts_with(kOthersKeys))
-      unknown.push_back({path + step(key), nearest(place, key)});
+      unknown.push_back({path + step(key), nearest_key(place, key)});
   }
 }
 

@@ -2,12 +2,17 @@
 // The only file that includes CLI11; tests/unit/model/layering_test.cc sees to that.
 #include "cli/cli.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <map>
+#include <string_view>
 #include <type_traits>
 
 #include <CLI/CLI.hpp>
+
+#include "base/nearest.h"
 
 namespace xauto::cli {
 namespace {
@@ -37,6 +42,20 @@ std::vector<std::string> values_of(const CLI::Option& option) {
     word.clear();
   }
   return values;
+}
+
+/// "--platfrm", a word before "--" that begins as an option and is none of these. Empty: there is none.
+std::string no_option(const std::vector<const CLI::App*>& of, int argc, char** argv) {
+  for (int k = 1; k < argc && std::string_view(argv[k]) != "--"; ++k) {
+    const std::string word(argv[k], std::string_view(argv[k]).find('=') == std::string_view::npos
+                                        ? std::string_view(argv[k]).size()
+                                        : std::string_view(argv[k]).find('='));
+    const bool known = std::any_of(of.begin(), of.end(), [&](const CLI::App* app) {
+      return app->get_option_no_throw(word) != nullptr;
+    });
+    if (word.starts_with("--") && !known) return word;
+  }
+  return {};
 }
 
 }  // namespace
@@ -192,7 +211,25 @@ std::optional<int> Program::parse(int argc, char** argv) {
   try {
     app_->parse(argc, argv);
   } catch (const CLI::ParseError& e) {
-    return app_->exit(e) == 0 ? 0 : kBadUsage;
+    if (e.get_exit_code() == 0) return app_->exit(e);
+    // The parser would first ask for what is required, which the wrong word was perhaps meant to be.
+    std::vector<const CLI::App*> of{app_};
+    for (const CLI::App* verb : app_->get_subcommands({}))
+      if (argc > 1 && verb->get_name() == argv[1]) of.push_back(verb);
+    const std::string word = no_option(of, argc, argv);
+    if (word.empty()) {
+      app_->exit(e);
+      return kBadUsage;
+    }
+    std::vector<std::string> names;
+    for (const CLI::App* app : of)
+      for (const CLI::Option* option : app->get_options())
+        for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
+    const std::string meant = nearest(word, names);
+    std::fprintf(stderr, "%s is no option%s%s\nRun with --help for more information.\n",
+                 word.c_str(), of.size() > 1 ? (" of " + of.back()->get_name()).c_str() : "",
+                 meant.empty() ? "" : ("; did you mean " + meant + "?").c_str());
+    return kBadUsage;
   }
   return std::nullopt;
 }

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "base/log.h"
+#include "base/nearest.h"
 #include "model/keys.h"
 
 namespace xauto::cli {
@@ -67,7 +68,11 @@ int Commands::run(int argc, char** argv) {
                 "refuse files with keys that their format does not have");
   // The parser would only say that a verb is missing.
   if (argc > 1 && argv[1][0] != '-' && !bodies_.contains(argv[1])) {
-    log::error("there is no verb '{}'", argv[1]);
+    std::vector<std::string> verbs;
+    for (const auto& [name, body] : bodies_) verbs.push_back(name);
+    const std::string meant = nearest(argv[1], verbs);
+    log::error("there is no verb '{}'{}", argv[1],
+               meant.empty() ? "" : "; did you mean '" + meant + "'?");
     log::hint("`xauto --help` lists the verbs");
     return kBadInput;
   }

@@ -98,6 +98,21 @@ TEST(CommandLine, RefusesWithStatus2AndSaysWhat) {
   }
 }
 
+TEST(CommandLine, AWrongOptionIsNamedBeforeWhatIsMissing) {
+  const auto said = [](std::vector<std::string> words) {
+    const Outcome o = parse(std::move(words));
+    EXPECT_EQ(o.status, 2);
+    return o.err.substr(0, o.err.find('\n'));
+  };
+  EXPECT_EQ(said({"tool", "solve", "--ap", "a.json"}),
+            "--ap is no option of solve; did you mean --app?");
+  EXPECT_EQ(said({"tool", "solve", "--app", "a.json", "--theads=3"}),
+            "--theads is no option of solve; did you mean --threads?");
+  EXPECT_EQ(said({"tool", "solve", "--quick"}), "--quick is no option of solve");
+  EXPECT_EQ(said({"tool", "--versoin"}), "--versoin is no option; did you mean --version?");
+  EXPECT_EQ(said({"tool", "solve", "--", "--ap"}), "--app is required") << "the program's own";
+}
+
 TEST(CommandLine, HelpAndVersionAreAskedForAndStatus0) {
   const Outcome help = parse({"tool", "solve", "--help"});
   EXPECT_EQ(help.status, 0);
