@@ -463,11 +463,8 @@ class TablesSearch {
     for (std::size_t t = 0; t < chosen.size(); ++t)
       XAUTO_TRY(put(candidates_[at(chosen[t])], t, tables));
     for (std::size_t s = 0; s < scenarios_.size(); ++s) set_bounds(s, tables.serves[s]);
-    keys::set_scenario_claims(tables, app_, platform_);
-    for (int from = 0; from < static_cast<int>(chosen.size()); ++from)
-      for (int to = 0; to < static_cast<int>(chosen.size()); ++to)
-        if (from != to)
-          tables.handovers.push_back(keys::release_across(tables, from, to, app_, platform_));
+    keys::set_claims(tables, app_, platform_);
+    tables.handovers = keys::releases_across(tables, app_, platform_);
     tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
     return tables;
   }
@@ -504,10 +501,6 @@ class TablesSearch {
                                    ? -1
                                    : platform_.find(on.xpus[at(keys.placements[i].xpu)].id);
     table.keys = std::move(keys);
-    for (Served& served : tables.serves)
-      if (served.table == static_cast<int>(t))
-        for (const ChainClaim& claim : table.keys.chains)
-          served.chain_worst_us.push_back(claim.worst_case_us);
     return {};
   }
 

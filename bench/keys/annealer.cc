@@ -442,9 +442,7 @@ double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_u
 }
 
 double objective_of(const AppSpec& app, const Policy& policy) {
-  std::vector<std::int64_t> chain_us;
-  for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);
-  return objective_of(app, chain_us);
+  return objective_of(app, worst_cases(policy));
 }
 
 }  // namespace xauto::bench

@@ -56,12 +56,6 @@ std::string solve_in_words(const RatedCase& made, const Asked& asked) {
   return said.dump();
 }
 
-std::vector<std::int64_t> worst_cases(const Policy& policy) {
-  std::vector<std::int64_t> chain_us;
-  for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);
-  return chain_us;
-}
-
 struct Child {
   std::string said;
   double cpu_s = 0, memory_mib = 0;

@@ -94,7 +94,7 @@ Status bench(const Flags& flags) {
 int main(int argc, char** argv) {
   xauto::bench::Flags flags;
   xauto::cli::Program app("One, two and four policies for 24 clock scenarios: the worst regret.");
-  app.option("--app", flags.app, "this one, without rates, instead of synthetic ones");
+  app.option("--app", flags.app, "this one instead of synthetic ones");
   app.option("--platform", flags.platform).shown();
   app.option("--apps", flags.apps, "synthetic ones").shown();
   app.option("--nodes", flags.nodes, "XNodes of each").shown();

@@ -27,7 +27,7 @@ std::size_t distance(std::string_view a, std::string_view b) {
 }  // namespace
 
 std::string nearest(std::string_view given, const std::vector<std::string>& words) {
-  constexpr std::size_t kLongest = 256;  // what is longer is no slip
+  constexpr std::size_t kLongest = 60;  // what is longer is no slip
   std::string best;
   std::size_t least = SIZE_MAX;
   if (given.size() > kLongest) return best;

@@ -175,11 +175,9 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
   return table;
 }
 
-/// How scenario `s` is served. `t`: by which table.
+/// By `table`, which is number `t`.
 Served read_served(const Reader& x, const AppSpec& app, int t, const Table& table) {
-  Served served{t};
-  for (const ChainClaim& claim : table.keys.chains)
-    served.chain_worst_us.push_back(claim.worst_case_us);
+  Served served{t, worst_cases(table.keys)};
   served.chain_bound_us.assign(app.chains.size(), kNotThere);
   if (x.has("lower_bound_us")) served.lower_bound_us = x["lower_bound_us"].time();
   each_chain(

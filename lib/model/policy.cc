@@ -268,6 +268,12 @@ Status validate(const Policy& policy, const AppSpec& app, const Platform& platfo
   return {};
 }
 
+std::vector<std::int64_t> worst_cases(const Policy& policy) {
+  std::vector<std::int64_t> us;
+  for (const ChainClaim& claim : policy.chains) us.push_back(claim.worst_case_us);
+  return us;
+}
+
 bool misses_a_deadline(const Policy& policy, const AppSpec& app) {
   for (std::size_t c = 0; c < policy.chains.size(); ++c)
     if (app.chains[c].deadline_us && policy.chains[c].worst_case_us > *app.chains[c].deadline_us)

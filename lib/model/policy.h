@@ -77,6 +77,9 @@ struct Policy {
 /// do. Every chain of the app has a claim; of a policy that is not certified none has, and its keys need no room for WCETs.
 [[nodiscard]] Status validate(const Policy& policy, const AppSpec& app, const Platform& platform);
 
+/// [chain] what it claims.
+[[nodiscard]] std::vector<std::int64_t> worst_cases(const Policy& policy);
+
 /// By its claims.
 [[nodiscard]] bool misses_a_deadline(const Policy& policy, const AppSpec& app);
 

@@ -269,12 +269,9 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
       return fail(ErrorCode::kInvalid,
                   "is of an app whose sources have rates: what a change costs is not known with it",
                   "/tables/" + std::to_string(t) + "/order");
-    std::vector<std::int64_t> worst;
-    for (const ChainClaim& claim : tables.tables[t].keys.chains)
-      worst.push_back(claim.worst_case_us);
     std::vector<char> there(app.chains.size(), 0);
     for (const int c : kept_chains(app, loss)) there[at(c)] = 1;
-    if (!are_of_chains(worst, there))
+    if (!are_of_chains(worst_cases(tables.tables[t].keys), there))
       return fail(ErrorCode::kInvalid,
                   "has no worst case for each chain without a module that is off, and for these "
                   "alone",

@@ -255,10 +255,9 @@ std::int64_t TableSwitch::change(std::uint64_t from_us, int from, const Choice& 
 
 /// The same table: of the release that met the change it claims what it does of all that it serves.
 void TableSwitch::change_scenario(std::int64_t since_ns, const Choice& to) {
-  std::vector<std::optional<std::int64_t>> worst_us;
-  for (const ChainClaim& claim : tables_.tables[static_cast<std::size_t>(to.table)].keys.chains)
-    worst_us.emplace_back(claim.worst_case_us);
-  ledger_.claim_change(since_ns, since_ns, static_cast<std::size_t>(to.scenario), &worst_us,
+  const auto us = worst_cases(tables_.tables[static_cast<std::size_t>(to.table)].keys);
+  const std::vector<std::optional<std::int64_t>> across_us(us.begin(), us.end());
+  ledger_.claim_change(since_ns, since_ns, static_cast<std::size_t>(to.scenario), &across_us,
                        {num_switches_, static_cast<std::uint32_t>(scenario_),
                         static_cast<std::uint32_t>(to.scenario)});
 }

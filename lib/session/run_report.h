@@ -159,7 +159,6 @@ struct RunReport {
   std::vector<ScenarioReport> scenarios;
   std::vector<SwitchReport> switches;
   std::uint64_t num_switches = 0;
-  /// Of all of them, those of which a release that met it took longer than claimed.
   bool several_rates = false;   ///< there are no releases to count, but each sensor's
   std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };

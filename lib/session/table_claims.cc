@@ -42,10 +42,10 @@ TableClaims table_claims_of(const RunReport& report, bool one_at_a_time) {
   for (std::string& line : words_of_deaths(report)) claims.broken.push_back(std::move(line));
   for (const RouteReport& r : report.routes)
     if (r.over_claim > 0)
-      claims.exceeded.push_back(
-          fmt::format("chain '{}': {} releases longer than their table claims, or the change that "
-                      "they met",
-                      r.name, r.over_claim));
+      claims.exceeded.push_back(fmt::format(
+          "chain '{}': {} releases longer than their scenario claims, or the change that "
+          "they met",
+          r.name, r.over_claim));
   return claims;
 }
 

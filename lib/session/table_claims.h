@@ -18,7 +18,7 @@ namespace xauto::runtime {
 /// What was longer than its scenario, or the change that it met, claims.
 struct TableClaims {
   const char* scope = nullptr;        ///< what the worst cases are of
-  std::vector<std::string> exceeded;  ///< a line each, "scenario 'x': 31.20 ms of 30.10 ms"
+  std::vector<std::string> exceeded;  ///< a line for each chain
   std::vector<std::string> broken;    ///< assumptions that this run broke, a line each
 };
 /// `one_at_a_time`: as the app's.

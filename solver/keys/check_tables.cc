@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <numeric>
 #include <optional>
+#include <utility>
 
 #include "base/index.h"
 #include "solver/keys/check.h"
@@ -23,6 +24,10 @@ std::optional<Policy> in_sequence(const AppSpec& app, const Platform& platform, 
   for (const Placement& placed : policy.placements) key.push_back(placed.key_us.front());
   std::ranges::sort(turn, {}, [&](std::size_t i) { return key[i]; });
   const std::vector<std::int64_t> transfer = transfers_us(policy, app, platform);
+  std::vector<std::vector<std::pair<std::size_t, std::int64_t>>> waits(turn.size());
+  for (std::size_t e = 0; e < app.edges.size(); ++e)
+    waits[at(app.edges[e].second)].emplace_back(at(app.edges[e].first), transfer[e]);
+  for (const auto& [u, v] : policy.order) waits[at(v)].emplace_back(at(u), 0);
   std::vector<std::int64_t> end(turn.size(), 0), last_key(platform.xpus.size(), -1),
       last_end(platform.xpus.size(), 0);
   for (const std::size_t i : turn) {
@@ -31,11 +36,7 @@ std::optional<Policy> in_sequence(const AppSpec& app, const Platform& platform, 
     const auto wcet = app.xnodes[i].wcet_on(platform.xpus[x].type);
     if (!wcet || std::exchange(last_key[x], key[i]) == key[i]) return std::nullopt;
     std::int64_t start = last_end[x];
-    for (std::size_t e = 0; e < app.edges.size(); ++e)
-      if (at(app.edges[e].second) == i)
-        start = std::max(start, end[at(app.edges[e].first)] + transfer[e]);
-    for (const auto& [u, v] : policy.order)
-      if (at(v) == i) start = std::max(start, end[at(u)]);
+    for (const auto& [u, us] : waits[i]) start = std::max(start, end[u] + us);
     for (const std::int64_t hold : placed.hold_us) start = std::max(start, hold);
     end[i] = last_end[x] = start + *wcet;
     placed.key_us = {end[i]};

@@ -118,10 +118,8 @@ class JointAscent {
   };
 
   void describe_jobs() {
-    std::vector<Tick> head(at(p_.num_xnodes), 0), least(at(p_.num_xnodes), kNoTick);
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      for (const int m : p_.may_run[at(i)])
-        if (least[at(i)] == kNoTick || p_.wcet(i, m) < least[at(i)]) least[at(i)] = p_.wcet(i, m);
+    std::vector<Tick> head(at(p_.num_xnodes), 0);
+    const std::vector<Tick> least = least_wcets(p_);
     for (const Component& c : p_.components)
       for (const int i : c.xnodes) {
         head[at(i)] = c.phase + (p_.root[at(i)] != 0 ? arrival(c, p_.root_ready[at(i)]) : 0);

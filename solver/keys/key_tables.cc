@@ -136,7 +136,7 @@ class KeyTablesSearch {
     const auto shared = solve_for(scenarios_.front(), {}, kSplitsForShared * slice,
                                   options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
-    const double cheap = kMostForClaims * value_of(worst_of(shared->policy));
+    const double cheap = kMostForClaims * value_of(worst_cases(shared->policy));
     double most = std::max(cheap, app_.has_deadlines() ? 1.0 : 0.0);
     do {
       if (run_.elapsed() > options_.time_limit_s * kForSplits) break;
@@ -144,7 +144,7 @@ class KeyTablesSearch {
       const auto answer =
           solve_for(scenarios_.front(), {}, slice, options_.threads, options_.seed, nullptr);
       if (!answer || answer->outcome != Outcome::kPolicy) continue;
-      const double value = value_of(worst_of(answer->policy));
+      const double value = value_of(worst_cases(answer->policy));
       if (value > most) continue;
       most = value;
       best = owner;
@@ -167,7 +167,8 @@ class KeyTablesSearch {
     const auto answer =
         solve_for(scenarios_[scenario], {}, seconds, options_.threads, options_.seed, nullptr);
     forbids_.swap(forbids);
-    return answer && answer->outcome == Outcome::kPolicy && value_of(worst_of(answer->policy)) <= 1;
+    return answer && answer->outcome == Outcome::kPolicy &&
+           value_of(worst_cases(answer->policy)) <= 1;
   }
 
   /// XPUs of a type are alike: of all splits with the same counts the one in which owners do not fall.
@@ -193,12 +194,6 @@ class KeyTablesSearch {
         if (owner[x] != clock_of_[i])
           forbids.emplace_back(app_.xnodes[i].name, platform_.xpus[x].id);
     return forbids;
-  }
-
-  [[nodiscard]] static std::vector<std::int64_t> worst_of(const Policy& policy) {
-    std::vector<std::int64_t> us;
-    for (const ChainClaim& claim : policy.chains) us.push_back(claim.worst_case_us);
-    return us;
   }
 
   /// [chain of the app], of those that are left.
@@ -386,7 +381,7 @@ class KeyTablesSearch {
   [[nodiscard]] KeyTable table_for(const Scenario& envelope, std::size_t loss,
                                    Policy policy) const {
     KeyTable table{envelope, loss, std::move(policy)};
-    table.value = value_of(of_all_chains(worst_of(table.policy), losses_[loss]));
+    table.value = value_of(of_all_chains(worst_cases(table.policy), losses_[loss]));
     return table;
   }
 
@@ -519,7 +514,7 @@ class KeyTablesSearch {
       }
       tables.serves.push_back({number, {}, bound_[s]});
     }
-    set_claims(tables);
+    set_claims(tables, app_, platform_);
     return tables;
   }
 
@@ -533,16 +528,13 @@ class KeyTablesSearch {
 
   /// Handovers of `table` from and to all others, the rest as before; all of them for -1.
   Status set_handovers(Tables& tables, int table, const Until& until) const {
-    std::vector<Handover> all;
-    const auto n = static_cast<int>(tables.tables.size());
     if (app_.one_at_a_time) {
-      for (int from = 0; from < n; ++from)
-        for (int to = 0; to < n; ++to)
-          if (from != to) all.push_back(release_across(tables, from, to, app_, platform_));
-      tables.handovers = std::move(all);
+      tables.handovers = releases_across(tables, app_, platform_);
       return {};
     }
     XAUTO_ASSIGN(const Changes changes, Changes::create(tables, app_, platform_));
+    std::vector<Handover> all;
+    const auto n = static_cast<int>(tables.tables.size());
     for (int from = 0; from < n; ++from)
       for (int to = 0; to < n; ++to) {
         if (from == to) continue;
@@ -708,17 +700,8 @@ class KeyTablesSearch {
     Table& table = tables.tables[at(number)];
     table.keys = {};
     fill(candidate, table);
-    set_claims(tables);
-  }
-  void set_claims(Tables& tables) const {
-    for (Served& served : tables.serves) {
-      served.chain_worst_us.clear();
-      for (const ChainClaim& claim : tables.tables[at(served.table)].keys.chains)
-        served.chain_worst_us.push_back(claim.worst_case_us);
-      served.lower_bound_us = 0;
-    }
-    set_figures(tables, app_);
-    if (app_.one_at_a_time) set_scenario_claims(tables, app_, platform_);
+    for (Served& served : tables.serves) served.lower_bound_us = 0;  // of another chain, perhaps
+    set_claims(tables, app_, platform_);
   }
   void fill(const KeyTable& candidate, Table& table) const {
     Policy& keys = table.keys;

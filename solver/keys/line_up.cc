@@ -20,10 +20,7 @@ LineUp::LineUp(const Problem& p)
       on_chain_(p.components.size()),
       rest_(p.components.size()),
       tail_(at(p.num_xnodes), 0) {
-  std::vector<Tick> least(at(p.num_xnodes), kNoTick);
-  for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : p.may_run[at(i)])
-      if (least[at(i)] == kNoTick || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
+  const std::vector<Tick> least = least_wcets(p);
   for (const Domain& d : p.domains)
     for (auto i = d.xnodes.rbegin(); i != d.xnodes.rend(); ++i)
       for (const EdgeEnd& s : p.succ[at(*i)])
@@ -261,23 +258,23 @@ LineUp::Value LineUp::plan(const std::vector<int>& order, const std::vector<Tick
   end_.assign(at(p_.num_xnodes), 0);
   key_.assign(at(p_.num_xnodes), 0);
   // What no chain waits for still has to be done by its period.
-  std::vector<int> rest = by_period_;
-  auto next = rest.begin();
+  auto next = by_period_.begin();
+  const auto place_next = [&] {
+    place_all(on_chain_[at(*next)]);
+    place_all(rest_[at(*next)]);
+    ++next;
+  };
   Tick latest = 0;
   for (const int c : order) {
-    for (; next != rest.end(); ++next) {
+    const auto is_time = [&] {
       const Component& waits = p_.components[at(*next)];
-      if (latest < waits.phase + waits.period / kPartOfPeriod) break;
-      place_all(on_chain_[at(*next)]);
-      place_all(rest_[at(*next)]);
-    }
+      return latest >= waits.phase + waits.period / kPartOfPeriod;
+    };
+    while (next != by_period_.end() && is_time()) place_next();
     place_all(on_chain_[at(c)]);
     for (const int i : on_chain_[at(c)]) latest = std::max(latest, end_[at(i)]);
   }
-  for (; next != rest.end(); ++next) {
-    place_all(on_chain_[at(*next)]);
-    place_all(rest_[at(*next)]);
-  }
+  while (next != by_period_.end()) place_next();
   for (std::size_t c = 0; c < p_.components.size(); ++c) {
     const Component& component = p_.components[c];
     for (const int i : on_chain_[c]) key_[at(i)] = end_[at(i)] - component.phase;

@@ -13,14 +13,6 @@
 namespace xauto::solver::keys {
 namespace {
 
-std::vector<Tick> least_wcets(const Problem& p) {
-  std::vector<Tick> least(at(p.num_xnodes), 0);
-  for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : p.may_run[at(i)])
-      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
-  return least;
-}
-
 /// Least WCETs along edges from `from` to `to`, both included; kNoTick: no way.
 Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int to) {
   if (from == to) return least[at(from)];

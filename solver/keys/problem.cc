@@ -528,6 +528,14 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
   return p;
 }
 
+std::vector<Tick> least_wcets(const Problem& p) {
+  std::vector<Tick> least(at(p.num_xnodes), 0);
+  for (int i = 0; i < p.num_xnodes; ++i)
+    for (const int m : p.may_run[at(i)])
+      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
+  return least;
+}
+
 Tick in_fast_time(Tick t, std::int64_t ppm) {
   if (ppm == 0) return t;
   return static_cast<Tick>((static_cast<__int128>(t) * kMillion + (kMillion - ppm) - 1) /

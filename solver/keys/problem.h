@@ -189,6 +189,9 @@ struct Problem {
                                               const std::vector<std::pair<int, int>>& order = {});
 };
 
+/// [xnode] on the XPU that is fastest for it; 0: it can run nowhere.
+[[nodiscard]] std::vector<Tick> least_wcets(const Problem& problem);
+
 /// ceil(t * 10^6 / (10^6 - ppm)) for t >= 0: how much of a clock's time `t` may take where the
 /// clock is fast. t < 2^60.
 [[nodiscard]] Tick in_fast_time(Tick t, std::int64_t ppm);

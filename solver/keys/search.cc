@@ -301,10 +301,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   d.hold.assign(at(p_.num_xnodes), 0);
   d.held.assign(at(p_.num_xnodes), 0);
   d.polite.assign(at(p_.num_xnodes), charge ? 0 : 1);
-  std::vector<Tick> least(at(p_.num_xnodes), kNoTick);
-  for (int i = 0; i < p_.num_xnodes; ++i)
-    for (const int m : p_.may_run[at(i)])
-      if (least[at(i)] == kNoTick || p_.wcet(i, m) < least[at(i)]) least[at(i)] = p_.wcet(i, m);
+  const std::vector<Tick> least = least_wcets(p_);
   std::vector<int> order(at(p_.num_xnodes));
   std::iota(order.begin(), order.end(), 0);
   const auto weight_of = [&](int i) {

@@ -65,9 +65,11 @@ std::optional<std::vector<std::int64_t>> sequence_claims(const Tables& tables, s
   return claims;
 }
 
-void set_scenario_claims(Tables& tables, const AppSpec& app, const Platform& platform) {
+void set_claims(Tables& tables, const AppSpec& app, const Platform& platform) {
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
     Served& served = tables.serves[s];
+    served.chain_worst_us = worst_cases(tables.tables[at(served.table)].keys);
+    if (!app.one_at_a_time) continue;
     const auto own = sequence_claims(tables, at(served.table), app, platform, tables.scenarios[s]);
     if (!own) continue;
     const std::vector<int> there = kept_chains(app, tables.tables[at(served.table)].loss);
@@ -78,6 +80,8 @@ void set_scenario_claims(Tables& tables, const AppSpec& app, const Platform& pla
   }
   set_figures(tables, app);
 }
+
+namespace {
 
 Handover release_across(const Tables& tables, int from, int to, const AppSpec& app,
                         const Platform& platform) {
@@ -98,6 +102,18 @@ Handover release_across(const Tables& tables, int from, int to, const AppSpec& a
     if (both_have(tables, from, to, at(there[k])))
       handover.worst_case_us[at(there[k])] = (*claims)[k];
   return handover;
+}
+
+}  // namespace
+
+std::vector<Handover> releases_across(const Tables& tables, const AppSpec& app,
+                                      const Platform& platform) {
+  std::vector<Handover> all;
+  const auto n = static_cast<int>(tables.tables.size());
+  for (int from = 0; from < n; ++from)
+    for (int to = 0; to < n; ++to)
+      if (from != to) all.push_back(release_across(tables, from, to, app, platform));
+  return all;
 }
 
 }  // namespace xauto::solver::keys

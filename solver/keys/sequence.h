@@ -30,11 +30,12 @@ void set_sequence_keys(const Problem& problem, const std::vector<int>& sequence,
                                                                        const Platform& platform,
                                                                        const Scenario& scenario);
 
-/// Sets what each scenario claims by its own sequence, where that is less than what its table does.
-void set_scenario_claims(Tables& tables, const AppSpec& app, const Platform& platform);
+/// Sets what each scenario claims, and what follows from that (set_figures): what its table does, or, of an app that
+/// releases one at a time, what its own sequence does, where that is less.
+void set_claims(Tables& tables, const AppSpec& app, const Platform& platform);
 
-/// Of the release that meets a change from one table to another.
-[[nodiscard]] Handover release_across(const Tables& tables, int from, int to, const AppSpec& app,
-                                      const Platform& platform);
+/// Of an app that releases one at a time: of the release that meets a change, from each table to each other one.
+[[nodiscard]] std::vector<Handover> releases_across(const Tables& tables, const AppSpec& app,
+                                                    const Platform& platform);
 
 }  // namespace xauto::solver::keys

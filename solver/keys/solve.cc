@@ -448,9 +448,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     answer.policy.order = seed->policy.order;
     answer.policy.method = seed->policy.method;
   }
-  std::vector<std::int64_t> chain_us;
-  for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
-  answer.totals = totals_of(app, chain_us);
+  answer.totals = totals_of(app, worst_cases(answer.policy));
   answer.least_largest = std::min(answer.totals.largest, found.least().figures.largest / unit);
   answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
   answer.first_answer_ms = round.first_ms;

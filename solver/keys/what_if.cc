@@ -26,10 +26,8 @@ Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const Policy& b
   }
   if (!solved) return tl::unexpected<Error>(std::move(solved).error());
   Answer& answer = *solved;
-  WhatIf what{std::move(change), answer.outcome, std::move(answer.overload.text), {}};
-  for (const ChainClaim& claim : answer.policy.chains)
-    what.worst_case_us.push_back(claim.worst_case_us);
-  return what;
+  return WhatIf{std::move(change), answer.outcome, std::move(answer.overload.text),
+                worst_cases(answer.policy)};
 }
 
 /// All WCETs on a type, rounded up.

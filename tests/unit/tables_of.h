@@ -31,10 +31,9 @@ inline Table table_of(const AppSpec& app, std::string name, const std::vector<in
 inline void serve(Tables& tables, const AppSpec& app, int table, std::int64_t bound_us = 1) {
   Served& served = tables.serves.emplace_back();
   served.table = table;
-  for (const ChainClaim& claim : tables.tables[static_cast<std::size_t>(table)].keys.chains) {
-    served.chain_worst_us.push_back(claim.worst_case_us);
-    served.chain_bound_us.push_back(claim.worst_case_us == kNotThere ? kNotThere : bound_us);
-  }
+  served.chain_worst_us = worst_cases(tables.tables[static_cast<std::size_t>(table)].keys);
+  for (const std::int64_t us : served.chain_worst_us)
+    served.chain_bound_us.push_back(us == kNotThere ? kNotThere : bound_us);
   set_figures(tables, app);
 }
 

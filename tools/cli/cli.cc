@@ -47,9 +47,7 @@ std::vector<std::string> values_of(const CLI::Option& option) {
 /// "--platfrm", a word before "--" that begins as an option and is none of these. Empty: there is none.
 std::string no_option(const std::vector<const CLI::App*>& of, int argc, char** argv) {
   for (int k = 1; k < argc && std::string_view(argv[k]) != "--"; ++k) {
-    const std::string word(argv[k], std::string_view(argv[k]).find('=') == std::string_view::npos
-                                        ? std::string_view(argv[k]).size()
-                                        : std::string_view(argv[k]).find('='));
+    const std::string whole = argv[k], word = whole.substr(0, whole.find('='));
     const bool known = std::any_of(of.begin(), of.end(), [&](const CLI::App* app) {
       return app->get_option_no_throw(word) != nullptr;
     });

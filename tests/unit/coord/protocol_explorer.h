@@ -393,20 +393,31 @@ class ProtocolExplorer {
     Module& module = s.modules[m];
     const auto& t = task(module, static_cast<int>(m));
     const auto x = static_cast<std::size_t>(t.xpu);
+    if (world_.blind_finish) believe(A::Belief::kAllFinished, s.xpus[x], t.job.xnode);
+    step_end(s, m, [&](const Words<A>& words) {
+      return words.finish(static_cast<int>(m), module.generation[x], t.job);
+    });
+  }
+
+  void step_skip(State& s, std::size_t m) {
+    const auto& t = task(s.modules[m], static_cast<int>(m));
+    step_end(s, m, [&](const Words<A>& words) { return words.skip(t.job.xnode, t.job.sequence); });
+  }
+
+  /// `end`: what the words say of an end, which is one or more accesses.
+  template <class End>
+  void step_end(State& s, std::size_t m, End end) {
+    Module& module = s.modules[m];
+    const auto x = static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
     Xpu& xpu = s.xpus[x];
     const Words<A> words(xpu.shm(), &rules_[x]);
     Finished finished;
     bool signal = false;
-    if (world_.blind_finish) believe(A::Belief::kAllFinished, xpu, t.job.xnode);
     if (!advance(&module.record, [&] {
-          finished = words.finish(static_cast<int>(m), module.generation[x], t.job);
+          finished = end(words);
           if (finished.ring) signal = words.ring();
         }))
       return;
-    after_end(module, m, xpu, finished, signal);
-  }
-
-  void after_end(Module& module, std::size_t m, Xpu& xpu, const Finished& finished, bool signal) {
     if (signal) xpu.doorbell = true;
     if (finished.victim >= 0 || finished.wakes != 0) {
       module.victim = finished.victim;
@@ -415,22 +426,6 @@ class ProtocolExplorer {
       return;
     }
     end_job(module, m);
-  }
-
-  void step_skip(State& s, std::size_t m) {
-    Module& module = s.modules[m];
-    const auto& t = task(module, static_cast<int>(m));
-    const auto x = static_cast<std::size_t>(t.xpu);
-    Xpu& xpu = s.xpus[x];
-    const Words<A> words(xpu.shm(), &rules_[x]);
-    Finished finished;
-    bool signal = false;
-    if (!advance(&module.record, [&] {
-          finished = words.skip(t.job.xnode, t.job.sequence);
-          if (finished.ring) signal = words.ring();
-        }))
-      return;
-    after_end(module, m, xpu, finished, signal);
   }
 
   /// As Port::lend: the job may end meanwhile.

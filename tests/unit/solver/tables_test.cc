@@ -579,6 +579,8 @@ TEST(Tables, TransfersAndDeadlinesThatDifferArePlannedToo) {
     const keys::TablesReport v = keys::examine_tables(app, c.platform, *made);
     EXPECT_TRUE(v.truthful()) << v.lies.front();
     for (const Handover& change : made->handovers) EXPECT_EQ(change.settles_us, 0);
+    for (const Served& served : made->serves)
+      EXPECT_EQ(served.lower_bound_us, bound_of_chains(served, app)) << "of the chain that is told";
   }
 }
 
