@@ -188,13 +188,18 @@ std::pair<Choice, int> TableSwitch::choose() {
 void TableSwitch::at_release(std::int64_t nominal_ns) {
   thread_.check();
   if (leaves_out(nominal_ns)) return;  // what is chosen meanwhile counts when it has drained
+  give_table(nominal_ns);
+  if (leaves_out(nominal_ns)) return;
+  context_.board.scenario(static_cast<std::size_t>(scenario_))
+      .releases.fetch_add(1, std::memory_order_relaxed);
+}
+
+void TableSwitch::give_table(std::int64_t nominal_ns) {
   const int from = scenario_;
   const auto [choice, table] = choose();
   const std::int64_t now = now_ns();
   const std::uint64_t since_us = first_us_of_table(nominal_ns, newest_ns_);
   newest_ns_ = std::max(newest_ns_, nominal_ns);
-  context_.board.scenario(static_cast<std::size_t>(from))
-      .releases.fetch_add(1, std::memory_order_relaxed);
   const std::int64_t before_ns = std::exchange(released_ns_, now);
   std::int64_t drains_us = 0;
   if (choice.table != table) {

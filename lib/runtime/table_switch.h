@@ -11,7 +11,8 @@
 // table's claims. Where an XPU is lost that the old table uses, it does not: what hangs there may never end.
 //
 // Where the app releases one at a time nothing is in flight when a release has its table: no change waits, and the
-// next release has what its own scenario claims. The one before, whose jobs asked for the change, has
+// next release has what its own scenario claims. (In a recorded input releases may meet: the ledger counts that, and
+// nothing is claimed.) The one before, whose jobs asked for the change, has
 // Handover::worst_case_us; of a change that keeps the table, the table's.
 //
 // A job that runs too long decides for the next release, which is the first that can have another table.
@@ -91,6 +92,7 @@ class TableSwitch {
   [[nodiscard]] bool glance(const MachineState& machine);
   void look(const MachineState& machine) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::pair<Choice, int> choose();
+  void give_table(std::int64_t nominal_ns);
   void put(std::uint64_t from_us, int table);
   std::int64_t change(std::uint64_t from_us, int from, const Choice& to, bool in_time);
   void change_scenario(std::int64_t since_ns, const Choice& to);
