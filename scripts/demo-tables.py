@@ -6,7 +6,7 @@ import sys
 
 
 def ms(us):
-    return f"{us / 1000:8.2f}"
+    return f"{'-':>8}" if us is None else f"{us / 1000:8.2f}"
 
 
 def main():

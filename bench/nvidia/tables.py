@@ -151,7 +151,7 @@ def told(report):
                           "worst_case_us": c.get("worst_case_us"), "longer_than_claimed": c.get("longer_than_claimed")} for c in report["chains"]}
     return {"activations": report["activations"], "lost": report["lost_activations"], "changes": report.get("num_switches"),
             "why": sorted({s["why"] for s in report.get("switches", [])}), "chains": chains, "preemptions": report.get("preemptions"),
-            "broken": report.get("worst_case_broken", [])}
+            "broken": report["claims"]["broken"]}
 
 
 def wishes():

@@ -90,7 +90,7 @@ def main():
                 sys.exit(ran.stderr)
             run = json.loads(ran.stdout)["runs"][0]
             row.update(releases=run["activations"] + run["lost_activations"], lost=run["lost_activations"],
-                       broken=run["worst_case_broken"],
+                       broken=run["claims"]["broken"],
                        chains=[{"name": c["name"], "worst_case_us": c["worst_case_us"], **c["latency_us"]} for c in run["chains"]])
     if options.json:
         print(json.dumps(rows, indent=1))

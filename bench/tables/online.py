@@ -224,7 +224,7 @@ def throttle(case, options):
         print(f"  throttle  {key[:-3]:4} one policy {medians[0] / 1000:7.2f} ms   tables {medians[1] / 1000:7.2f} ms"
               f"   {medians[0] / medians[1]:.2f} times; medians of {options.rounds} runs of {options.releases} releases each")
     result["deadline_us"], result["missed"] = case.app["deadline_us"], missed
-    result["broken"] = {policy: [r.get("worst_case_broken", []) for r in reports] for policy, reports in rows.items()}
+    result["broken"] = {policy: [r["claims"]["broken"] for r in reports] for policy, reports in rows.items()}
     for policy, name in (("one", "one policy"), ("two", "tables")):
         others, met = (sum(m[kind] for m in missed[policy]) for kind in ("others", "met_a_change"))
         print(f"  throttle  deadline {case.app['deadline_us'] / 1000:.2f} ms, missed by {name}: {others}, and {met} that met a change, of "
@@ -261,7 +261,7 @@ def switches(case, options):
               "claimed": len(claimed), "longer_than_claimed_by_2_pct": len(over),
               "longest": max((s["spanned_us"] / s["worst_case_us"] for s in claimed), default=None),
               "longest_wait_us": max((s["held_us"] for s in report["switches"]), default=None),
-              "broken": report.get("worst_case_broken", [])}
+              "broken": report["claims"]["broken"]}
     print(f"  switches  {result['switches']} ({result['table_changes']} to another table) in {seconds:.0f} s, {result['releases']} releases, {result['lost']} lost; of "
           f"{len(claimed)} that met a change {len(over)} were longer than claimed + 2 %")
     return result
@@ -293,7 +293,7 @@ def guest_switches(case, options):
     spanned = [s["spanned_us"] / s["worst_case_us"] for s in report["switches"] if s.get("worst_case_us") and (s["spanned_us"] or -1) >= 0]
     result = {"switches": report["num_switches"], "table_changes": tables_changed(report["switches"]), "releases": report["activations"],
               "lost": report["lost_activations"], "claimed": len(spanned), "longest": max(spanned, default=None),
-              "exceeded": report["worst_case_exceeded"], "broken": report.get("worst_case_broken", [])}
+              "exceeded": report["claims"]["exceeded"], "broken": report["claims"]["broken"]}
     print(f"  guest-switches  {result['switches']} ({result['table_changes']} to another table), {result['releases']} releases, {result['lost']} lost; "
           f"of {len(spanned)} that met a change the longest took {result['longest']:.4f} of its worst case; longer than claimed: {result['exceeded']}")
     return result
@@ -326,18 +326,18 @@ def key_switches(case, options):
         seconds = time.monotonic() - since
     report = case.report
     chains = {c["name"]: {"results": c["results"], "lost": c["lost"], "max_us": c["latency_us"]["max"],
-                          "worst_case_us": c.get("worst_case_us"), "longer_than_claimed": c["longer_than_claimed"]}
+                          "worst_case_us": c.get("worst_case_us"), "longer_than_claimed": c.get("longer_than_claimed", 0)}
               for c in report["chains"]}
     result = {"asked": options.switches, "seconds": round(seconds, 1), "settles_s": settles_s, "held_us": max((s["held_us"] for s in report["switches"]), default=0), "switches": report["num_switches"],
               "table_changes": tables_changed(report["switches"]), "why": sorted({s["why"] for s in report["switches"]}),
               "activations": report["activations"], "lost": report["lost_activations"], "chains": chains,
-              "broken": report.get("worst_case_broken", []), "claims": report.get("worst_case_of")}
+              "broken": report["claims"]["broken"], "claims": report["claims"].get("of")}
     part = case.part
     print(f"  {part:12}  {result['switches']} in {seconds:.0f} s, {result['lost']} activations lost")
     for name, c in chains.items():
         longest = f"longest {c['max_us'] / 1000:.2f} ms" if c["results"] else "none to measure"
         claim = f"largest claim {c['worst_case_us'] / 1000:.2f} ms" if c["worst_case_us"] else "nothing is claimed"
-        print(f"  {part:12}  {name:8} {c['results']} results, {c['longer_than_claimed']} longer than claimed; {longest}, {claim}")
+        print(f"  {part:12}  {name:8} {c['results']} results, {c.get('longer_than_claimed', 0)} longer than claimed; {longest}, {claim}")
     return result
 
 

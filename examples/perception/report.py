@@ -62,9 +62,8 @@ def runs(folder, names):
     for name in names:
         run = load(pathlib.Path(folder) / f"{name}.json")["runs"][0]
         now = run.get("scenarios")
-        claimed = max((s["worst_case_us"] for s in now if s["releases"]), default=None) if now else run.get("worst_case_us")
-        verdict = "exceeded" if run["worst_case_exceeded"] else "kept"
-        broken = run["worst_case_broken"]
+        claimed = max((c["worst_case_us"] for c in run["chains"] if "worst_case_us" in c), default=None)
+        verdict, broken = run["claims"]["verdict"], run["claims"]["broken"]
         lost, all_of_it = run["lost_activations"], run["lost_activations"] + run["activations"]
         number = lambda us: "-" if us is None else f"{us / 1e3:.1f}"
         print(f"  {run.get('real_cpus', '-'):<12} {'tables' if now else 'static':<8} {number(run['p50_us']):>8} {number(run['max_us']):>8} "

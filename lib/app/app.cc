@@ -178,10 +178,10 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   }
   auto data = std::make_shared<RunReport::Data>();
   data->report = *std::move(ran.report);
-  data->report.dead_daemons = keeper->who_died();
+  const std::vector<std::string> daemons = keeper->who_died();
+  data->report.account.add("daemon_death", daemons.size(), daemons);
   data->app = spec.name;
   data->emulator_died = emulator_died;
-  data->one_at_a_time = held->session.app.one_at_a_time;
   if (!died.empty()) runtime::add_note(data->report.note, died);
   return RunReport(std::move(data));
 }

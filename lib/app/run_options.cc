@@ -5,9 +5,10 @@
 
 #include <xauto/result.h>
 
+#include "base/quantile.h"
 #include "model/json.h"
 #include "model/json_value.h"
-#include "session/table_claims.h"
+#include "session/changes.h"
 #include "xpu/presence.h"
 
 namespace xauto {
@@ -182,7 +183,9 @@ runtime::Distribution latencies_of(const runtime::RunReport& report) {
 
 Json times(const runtime::Distribution& us) {
   if (us.count() == 0) return {};
-  return {{"p50", us.quantile(0.5)}, {"p99", us.quantile(0.99)}, {"max", us.max()}};
+  return {{"p50", us.quantile(0.5)},
+          {"p99", us.count() < kLeastOfP99 ? Json() : Json(us.quantile(0.99))},
+          {"max", us.max()}};
 }
 
 microseconds quantile(const runtime::RunReport& report, const std::string& module, double q) {
@@ -260,16 +263,10 @@ std::string RunReport::json() const {
                        {"off", m.off},
                        {"unended", m.unended},
                        {"latency_us", times(m.latencies_us)}});
-  for (const runtime::RouteReport& c : r.routes)
-    chains.push_back({{"name", c.name},
-                      {"from", c.from},
-                      {"to", c.to},
-                      {"results", c.latency_us.count()},
-                      {"lost", c.lost},
-                      {"deadline_misses", c.deadline_misses},
-                      {"age_misses", c.age_misses},
-                      {"latency_us", times(c.latency_us)},
-                      {"age_us", times(c.age_us)}});
+  for (const runtime::ChainAccount& c : r.account.chains) {
+    chains.push_back(runtime::chain_json(c));
+    chains.elements().back()["age_us"] = times(c.age_us);
+  }
   Json json = {{"app", data_->app},
                {"good", good()},
                {"complete", r.complete},
@@ -279,9 +276,9 @@ std::string RunReport::json() const {
                {"deadline_misses", r.deadline_misses},
                {"latency_us", times(latencies_of(r))},
                {"modules", std::move(modules)},
-               {"chains", std::move(chains)}};
-  if (!r.scenarios.empty())
-    runtime::add_tables(r, runtime::table_claims_of(r, data_->one_at_a_time), json);
+               {"chains", std::move(chains)},
+               {"claims", runtime::claims_json(r.account)}};
+  if (!r.scenarios.empty()) runtime::add_changes(r, json);
   return json.dump();
 }
 

@@ -31,7 +31,6 @@ struct RunReport::Data {
   runtime::RunReport report;
   std::string app;
   bool emulator_died = false;
-  bool one_at_a_time = false;  ///< as the app's
 };
 
 }  // namespace xauto

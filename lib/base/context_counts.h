@@ -6,8 +6,6 @@
 #include <atomic>
 #include <cstdint>
 #include <string>
-#include <utility>
-#include <vector>
 
 namespace xauto {
 
@@ -48,15 +46,6 @@ struct ContextCounts {
     const std::uint32_t n = incomplete.load(std::memory_order_relaxed);
     if (n == 0) return {};
     return std::to_string(n) + " contexts not complete: a stage on them has not run once";
-  }
-  /// The same, a line each, for people. `live`: of a run that goes on.
-  [[nodiscard]] std::vector<std::string> doubts(bool live) const {
-    std::vector<std::string> lines;
-    if (std::string line = not_complete(); live && !line.empty()) lines.push_back(std::move(line));
-    each([&](const char*, std::uint32_t count, const char* what) {
-      if (count > 0) lines.push_back(std::to_string(count) + " " + what);
-    });
-    return lines;
   }
 };
 

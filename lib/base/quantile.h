@@ -10,6 +10,9 @@
 
 namespace xauto {
 
+/// No p99 is told of fewer values: it would be the longest.
+inline constexpr std::size_t kLeastOfP99 = 100;
+
 /// Which of `count` sorted values is the `q` quantile, counted from 1. There is at least one.
 [[nodiscard]] inline std::uint64_t nearest_rank(double q, std::uint64_t count) {
   const double rank = std::ceil(q * static_cast<double>(count));

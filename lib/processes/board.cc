@@ -18,14 +18,14 @@
 #include "model/deployment.h"
 #include "model/parameter.h"
 #include "model/scenario.h"
+#include "session/changes.h"
 #include "session/distribution.h"
-#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f4d;  // "XBOM"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f4e;  // "XBON"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
@@ -199,7 +199,6 @@ void FlowLine::add(std::int64_t us, std::int64_t now_ns) {
   // A run whose first result is late counts from there.
   if (limit_us() > 0 && (us <= limit_us() || in_time_ns.load(std::memory_order_relaxed) == 0))
     in_time_ns.store(now_ns, std::memory_order_relaxed);
-  if (allowed_us > 0 && us > allowed_us) add_alone(over);
   add_alone(latency_us[std::min(Distribution::bucket_of(us), kBuckets - 1)]);
   last_us.store(us, std::memory_order_relaxed);
   if (us > longest_us.load(std::memory_order_relaxed))

@@ -65,7 +65,9 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint64_t> overlapping{};
   /// [H] with tables: how often jobs, or the machine's clocks, were those of no scenario.
   std::atomic<std::uint64_t> outside_jobs{}, outside_clocks{};
-  /// [H] before the run: what the policy's claims take for granted and this run does not keep.
+  /// [H] before the run: what is claimed (session/account.h, Claimed), and what that takes for granted and this run
+  /// does not keep.
+  std::atomic<std::uint32_t> claimed{};
   char unkept[kBoardTextBytes] = {};
   ContextCounts contexts{};                    ///< by the workers of all processes
   std::atomic<std::uint64_t> daemon_deaths{};  ///< [S] of the emulator and coordinators
@@ -134,12 +136,15 @@ struct alignas(64) FlowLine {
   std::int64_t period_us = 0, deadline_us = 0, age_limit_us = 0;
   // All [H].
   std::atomic<std::uint64_t> results{}, late{}, old{};
-  std::atomic<std::uint64_t> over{};    ///< results that took longer than allowed_us
+  /// Results that took longer than is claimed of them; and the worst of these, and what was claimed of it.
+  std::atomic<std::uint64_t> over{};
+  std::atomic<std::int64_t> over_us{}, over_claimed_us{};
   std::atomic<std::int64_t> sum_us{};   ///< of all latencies
   std::atomic<std::int64_t> last_ns{};  ///< when the last result came; 0: there was none
   std::atomic<std::int64_t>
-      in_time_ns{};                   ///< ... that kept limit_us(); before there is one: the first
-  std::atomic<std::uint64_t> lost{};  ///< of flow 0; a chain loses what its module loses
+      in_time_ns{};  ///< ... that kept limit_us(); before there is one: the first
+  std::atomic<std::uint64_t>
+      lost{};  ///< of flow 0; a chain loses what its module loses, until the run ends
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::int64_t> longest_urgent_us{-1};        ///< of urgent releases

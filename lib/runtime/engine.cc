@@ -7,11 +7,11 @@
 #include <uapi/xauto/event.h>
 
 #include "base/log.h"
+#include "processes/board_account.h"
 #include "processes/mode.h"
 #include "processes/parameters.h"
 #include "runtime/routes.h"
 #include "session/notes.h"
-#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -150,8 +150,7 @@ Result<RunReport> Engine::run_all() {
     role_->end();
     stop_workers();
     RunReport nothing = report();
-    nothing.not_complete = "it was told to stop before it began";
-    add_note(nothing.note, nothing.not_complete);
+    say_not_complete("it was told to stop before it began", nothing);
     return nothing;
   }
   XAUTO_TRY(releaser_->run(placing_.fifo.sources));
@@ -162,6 +161,10 @@ Result<RunReport> Engine::run_all() {
   RunReport result = report();
   std::string stuck_calls;
   role_->gather(result);
+  std::vector<std::string> unscheduled;
+  for (const std::string& xpu : result.lost_coordinators)
+    unscheduled.push_back("the jobs of " + xpu + " went on unscheduled: its coordinator was gone");
+  result.account.add("coordinator_lost", unscheduled.size(), unscheduled);
   result.recording_error = releaser_->close(result.releases);
   // A run without an end of its own is complete when it has been told to stop.
   const bool endless = session_.activations == 0 && session_.duration_us == 0;
@@ -172,15 +175,19 @@ Result<RunReport> Engine::run_all() {
       result.complete = false;
       add_note(stuck_calls, call + " never returned");
     }
-  if (!drained) add_note(result.not_complete, ledger_->what_did_not_end());
-  add_note(result.not_complete, stuck_calls);
-  if (!result.complete && result.not_complete.empty())
-    result.not_complete = "it was told to stop before its end";
-  add_note(result.note, result.not_complete);
+  std::string why = drained ? std::string() : ledger_->what_did_not_end();
+  add_note(why, stuck_calls);
+  if (!result.complete)
+    say_not_complete(why.empty() ? "it was told to stop before its end" : why, result);
   for (const std::string& note : releaser_->notes()) add_note(result.note, note);
   note_lockstep(result);
   XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));
   return result;
+}
+
+void Engine::say_not_complete(const std::string& why, RunReport& into) {
+  into.account.add("run_not_complete", 1, "the run is not complete: " + why);
+  add_note(into.note, why);
 }
 
 /// [module] messages that wait for it here.
@@ -194,10 +201,10 @@ std::vector<std::size_t> Engine::waiting() const {
 /// What has no time in a report, and why.
 void Engine::note_lockstep(RunReport& into) const {
   if (!session_.lockstep || grid_.one_at_a_time || (graph_.single_rate && !grid_.periodic) ||
-      into.routes.empty())
+      into.account.chains.empty())
     return;
   std::uint64_t untimed = 0;
-  for (const RouteReport& route : into.routes) untimed += route.not_measured;
+  for (const ChainAccount& chain : into.account.chains) untimed += chain.not_measured;
   add_note(into.note, "time between releases means nothing in lockstep: no age is measured" +
                           (untimed == 0 ? std::string()
                                         : ", nor the latency of " + std::to_string(untimed) +
@@ -242,30 +249,13 @@ void Engine::tell_preemptions(RunReport& into) const {
     into.preemptions.push_back({line_name(line.name), line.suspensions,
                                 line.longest_suspend_ns / 1000, line.longest_resume_ns / 1000,
                                 line.preempt_us});
-    if (std::string slow = line.slow_suspensions(); !slow.empty())
-      into.unkept.push_back(std::move(slow));
   }
 }
 
-void Engine::tell_failed_preemptions(RunReport& into) const {
-  const std::vector<Xpu>& xpus = context_->session.platform.xpus;
+/// What the kernel took from the threads of XNodes on cores.
+void Engine::tell_cores(Account& into) const {
   for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
     const XNodeLine& line = context_->board.xnode(n);
-    const std::size_t on = line.failed_on.load();
-    FailedPreemptionReport failed{graph_.nodes[n].name, on < xpus.size() ? xpus[on].id : "",
-                                  line.failed_suspends.load(), line.failed_resumes.load()};
-    if (failed.suspends + failed.resumes == 0) continue;
-    for (std::string& text : words_of(failed)) into.unkept.push_back(std::move(text));
-    into.failed_preemptions.push_back(std::move(failed));
-  }
-}
-
-/// What the kernel, or an exec, did to the threads of XNodes on cores.
-void Engine::tell_cores(RunReport& into) const {
-  for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
-    const XNodeLine& line = context_->board.xnode(n);
-    if (std::string moved = line.words_of_moved(); !moved.empty())
-      into.unkept.push_back(std::move(moved));
     if (line.waited_ns > 0)
       into.taken.push_back(
           {fmt::format("XNode '{}' of XModule '{}' could have run for {:.2f} ms on its core, and "
@@ -276,26 +266,25 @@ void Engine::tell_cores(RunReport& into) const {
   }
 }
 
+/// Who knows more goes before the board.
+void Engine::tell_assumptions(RunReport& into) {
+  Account& account = into.account;
+  account.add("set_up", placing_.unkept.size(), placing_.unkept);
+  if (context_->session.keys && wiring_->lost_scheduler())
+    account.add("scheduler_gone", 1,
+                "nobody kept keys on real CPUs after the sched_ext scheduler had ended");
+  if (releaser_) releaser_->report(into);
+  add_assumptions(context_->board, account);
+}
+
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
   ledger_->report(placing_.limits, result);
-  result.unkept = placing_.unkept;
-  if (context_->session.keys && wiring_->lost_scheduler())
-    result.unkept.emplace_back(
-        "nobody kept keys on real CPUs after the sched_ext scheduler had ended");
-  const ContextCounts& contexts = context_->board.contexts();
-  for (std::string& line : contexts.doubts(false)) result.unkept.push_back(std::move(line));
-  result.contexts = {contexts.partial.load(),  contexts.unclaimed.load(), contexts.assumed.load(),
-                     contexts.shared.load(),   contexts.gated.load(),     contexts.held_up.load(),
-                     contexts.misplaced.load()};
   tell_preemptions(result);
-  tell_failed_preemptions(result);
-  tell_cores(result);
+  tell_cores(result.account);
+  tell_assumptions(result);
   add_note(result.note, changed_parameters(context_->board));
-  if (!releaser_) return result;
-  result.broken = releaser_->broken();
-  releaser_->report(result);
   return result;
 }
 

@@ -71,8 +71,9 @@ class Engine final : private ModuleHost {
   void stop_workers();
   void tell_notes(RunReport& into);
   void tell_preemptions(RunReport& into) const;
-  void tell_failed_preemptions(RunReport& into) const;
-  void tell_cores(RunReport& into) const;
+  void tell_assumptions(RunReport& into);
+  static void say_not_complete(const std::string& why, RunReport& into);
+  void tell_cores(Account& into) const;
   [[nodiscard]] RunReport report();
 
   OneThread thread_;

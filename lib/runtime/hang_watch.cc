@@ -94,8 +94,8 @@ void HangWatch::look_at_threads(std::int64_t now_ns) {
 void HangWatch::report(RunReport& into) const {
   thread_.check();
   if (!threads_) return;
-  for (TakenReport& one : threads_->taken()) into.taken.push_back(std::move(one));
-  add_note(into.not_watched, threads_->not_watched());
+  for (TakenReport& one : threads_->taken()) into.account.taken.push_back(std::move(one));
+  add_note(into.account.not_watched, threads_->not_watched());
 }
 
 const std::string& HangWatch::note() const {

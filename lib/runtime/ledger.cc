@@ -3,7 +3,9 @@
 
 #include <algorithm>
 #include <string>
+#include <utility>
 
+#include <fmt/format.h>
 #include <uapi/xauto/event.h>
 
 #include "base/clock.h"
@@ -49,34 +51,36 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   if (context.scheduled()) show_claims();
 }
 
-/// What the policy claims of each flow, before the run.
+/// What the policy claims of each chain, before the run.
 void Ledger::show_claims() {
   const Session& session = context_.session;
-  const auto claim = [&](FlowLine& line, std::int64_t worst_us) {
-    line.worst_case_us = worst_us;
-    line.allowed_us = allowed_us(worst_us);
-  };
   if (session.tables) {
     // Which claim a release is held against is told as it comes (Routes::claim).
     const std::vector<std::int64_t> largest_us = largest_claims(*session.tables);
     for (std::size_t i = 0; i < std::min(routes_.size(), largest_us.size()); ++i)
-      context_.board.flow(i + 1).worst_case_us = largest_us[i];
+      routes_.show_claim(i, {.worst_case_us = largest_us[i], .more_us = more_us(largest_us[i])});
     unproven_.assign(routes_.size(), 0);
+    routes_.claims_may_change();
     routes_.claim(0, claimed_by(0), more_pct());
     tell_chains(0, 0);
-    return;
-  }
-  if (session.keys) {
+  } else if (session.keys) {
     const std::vector<ChainClaim>& claims = session.keys->chains;
+    std::vector<std::int64_t> worst_us(routes_.size(), 0);
     for (std::size_t i = 0; i < std::min(routes_.size(), claims.size()); ++i) {
-      FlowLine& line = context_.board.flow(i + 1);
-      claim(line, claims[i].worst_case_us);
-      line.lower_bound_us = claims[i].lower_bound_us;
-      line.urgent_worst_case_us = claims[i].urgent_worst_case_us.value_or(0);
-      line.urgent_allowed_us = line.urgent_worst_case_us + (line.allowed_us - line.worst_case_us);
+      worst_us[i] = claims[i].worst_case_us;
+      routes_.show_claim(i, {worst_us[i], claims[i].lower_bound_us,
+                             claims[i].urgent_worst_case_us.value_or(0), more_us(worst_us[i])});
     }
-    return;
+    routes_.claim(0, std::move(worst_us), more_pct());
   }
+  context_.board.header().claimed.store(static_cast<std::uint32_t>(claimed()));
+}
+
+Claimed Ledger::claimed() const {
+  const Session& session = context_.session;
+  if (!context_.scheduled() || !(session.tables || session.keys)) return Claimed::kNothing;
+  if (session.keys && !session.keys->certified) return Claimed::kUncertified;
+  return context_.grid.one_at_a_time ? Claimed::kOneAtATime : Claimed::kOfRates;
 }
 
 /// What a chain may take beside its claim.
@@ -84,8 +88,8 @@ std::int64_t Ledger::more_pct() const {
   return context_.session.emulates() ? kEmulatorPct : 0;
 }
 
-std::int64_t Ledger::allowed_us(std::int64_t worst_us) const {
-  return worst_us + worst_us * more_pct() / 100;
+std::int64_t Ledger::more_us(std::int64_t worst_us) const {
+  return worst_us * more_pct() / 100;
 }
 
 /// [chain] what the scenario's table claims of a release under it, once all changes before it are proven.
@@ -368,6 +372,27 @@ std::string Ledger::what_did_not_end() const {
   return text.empty() ? "messages were under way for ten seconds" : text + " did not end";
 }
 
+/// What is claimed, and whether each of it can be held against something.
+void Ledger::tell_claims(Account& into) const {
+  claim_on(into, claimed());
+  if (!into.claims()) return;
+  const Session& session = context_.session;
+  const std::size_t claims =
+      session.tables ? largest_claims(*session.tables).size() : session.keys->chains.size();
+  std::uint64_t unmeasured = claims - std::min(claims, into.chains.size());
+  if (unmeasured > 0)
+    into.add("chain_not_measured", unmeasured,
+             fmt::format("{} of {} chains are not measured", unmeasured, claims));
+  unmeasured = 0;
+  // In lockstep there are results without a time; that is told by what is not kept.
+  for (const ChainAccount& chain : into.chains)
+    unmeasured +=
+        chain.worst_case_us > 0 && chain.results() == 0 && chain.not_measured == 0 ? 1 : 0;
+  if (unmeasured > 0)
+    into.add("chain_without_result", unmeasured,
+             fmt::format("{} of {} chains had no result", unmeasured, into.chains.size()));
+}
+
 void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& into) {
   routes_.judge();
   {
@@ -402,10 +427,13 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
     into.modules.push_back(std::move(module));
     lost.push_back(counts.failed + counts.dropped);
   }
-  Routes::Unended unended{gave_up_ns_, unended_, {}};
-  for (const Released& source : released_) unended.newest_ns.push_back(source.newest_ns);
-  into.routes = routes_.report(lost, gave_up_ns_ > 0 ? &unended : nullptr);
-  for (const RouteReport& route : into.routes) into.deadline_misses += route.deadline_misses;
+  const Routes::Unended unended{gave_up_ns_, unended_};
+  std::vector<std::int64_t> newest_ns;
+  for (const Released& source : released_) newest_ns.push_back(source.newest_ns);
+  into.account.chains = routes_.report(lost, gave_up_ns_ > 0 ? &unended : nullptr, newest_ns);
+  for (const ChainAccount& chain : into.account.chains)
+    into.deadline_misses += chain.deadline_misses;
+  tell_claims(into.account);
   for (std::size_t n = 0; n < context_.graph.nodes.size(); ++n) {
     // Of the first table that has it.
     const auto of = std::find_if(limits.begin(), limits.end(),
@@ -420,7 +448,6 @@ void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& i
          context_.graph.modules[static_cast<std::size_t>(context_.graph.nodes[n].module)].name,
          line.unended, line.unended_ns / 1000});
   }
-  into.overlapping_releases = context_.board.header().overlapping.load();
   into.several_rates = !context_.graph.single_rate;
 }
 

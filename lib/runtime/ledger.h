@@ -73,7 +73,7 @@ class Ledger {
   /// What met changes of the scenario; see Routes.
   [[nodiscard]] std::vector<Routes::Met> met() const { return routes_.met(); }
 
-  /// Adds counts, latencies and chains.
+  /// Adds counts, latencies, chains and what is claimed of them.
   void report(const std::vector<std::vector<Limits>>& limits, RunReport& into);
 
  private:
@@ -99,7 +99,9 @@ class Ledger {
 
   void show_claims();
   [[nodiscard]] std::uint64_t released_for(std::size_t module) const;
-  [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
+  void tell_claims(Account& into) const;
+  [[nodiscard]] Claimed claimed() const;
+  [[nodiscard]] std::int64_t more_us(std::int64_t worst_us) const;
   [[nodiscard]] std::int64_t more_pct() const;
   [[nodiscard]] std::vector<std::int64_t> claimed_by(std::size_t scenario) const;
   void tell_chains(std::int64_t from_ns, std::size_t scenario);

@@ -34,11 +34,12 @@ OutsideLog::News OutsideLog::look(std::int64_t now_ns, const std::vector<What>& 
   return news;
 }
 
-std::vector<std::string> OutsideLog::all() const {
+std::vector<std::string> OutsideLog::all(Kind kind) const {
   std::vector<std::string> lines;
-  for (const auto& [_, entry] : entries_)
-    lines.push_back(entry.first +
-                    (entry.times > 1 ? fmt::format(", {} times", entry.times) : std::string()));
+  for (const auto& [what, entry] : entries_)
+    if (what.first == kind)
+      lines.push_back(entry.first +
+                      (entry.times > 1 ? fmt::format(", {} times", entry.times) : std::string()));
   return lines;
 }
 

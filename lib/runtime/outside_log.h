@@ -35,8 +35,8 @@ class OutsideLog {
   };
   /// `outside`: all that is, at `now_ns`. What is not among it any more is over.
   [[nodiscard]] News look(std::int64_t now_ns, const std::vector<What>& outside);
-  /// A line each, of what came: what was said of it first, and how often it came.
-  [[nodiscard]] std::vector<std::string> all() const;
+  /// A line each, of what came of that kind: what was said of it first, and how often it came.
+  [[nodiscard]] std::vector<std::string> all(Kind kind) const;
 
  private:
   struct Entry {

@@ -587,51 +587,65 @@ std::string Releaser::another_rate(const Seen& seen, const Grid::Source& grid) {
 
 void Releaser::report(RunReport& into) const {
   if (tables_) tables_->report(into);
-  for (std::size_t s = 0; s < seen_.size(); ++s)
-    if (const std::int64_t ns = seen_[s].made_late_ns; ns > 0)
-      into.taken.push_back(
-          {fmt::format("the function of source '{}' returned up to {:.2f} ms after "
-                       "its message was due",
-                       context_.graph.sources[s].name, static_cast<double>(ns) * 1e-6),
-           ns / 1000});
-}
-
-std::vector<std::string> Releaser::broken() const {
-  std::vector<std::string> lines = tables_ ? tables_->broken() : std::vector<std::string>();
+  std::vector<std::string> off_grid, left_out, too_soon, unphased;
+  std::uint64_t num_left_out = 0, num_too_soon = 0;
   for (std::size_t s = 0; s < seen_.size(); ++s) {
     const Seen& seen = seen_[s];
     const Grid::Source& grid = context_.grid.sources[s];
     const std::string& name = context_.graph.sources[s].name;
-    if (seen.late > 0)
-      lines.push_back(
-          fmt::format("source '{}' was released up to {} us late in {} of {} releases; "
-                      "app.json states a jitter of {} us: with \"jitter_us\": {} of this source "
-                      "`solve` plans for it",
-                      name, (seen.latest_ns + 999) / 1000, seen.late, seen.of,
-                      grid.jitter_ns / 1000, (seen.latest_ns + 999) / 1000));
-    if (seen.off > 0)
-      lines.push_back(fmt::format(
-          "source '{}' was up to {} us off its grid in {} of {} releases{}; app.json states a "
-          "period of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
-          name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of, another_rate(seen, grid),
-          static_cast<double>(grid.period.num) / static_cast<double>(grid.period.den),
-          grid.jitter_ns / 1000, context_.grid.clock_ppm[grid.clock]));
+    if (const std::int64_t ns = seen.made_late_ns; ns > 0)
+      into.account.taken.push_back(
+          {fmt::format("the function of source '{}' returned up to {:.2f} ms after "
+                       "its message was due",
+                       name, static_cast<double>(ns) * 1e-6),
+           ns / 1000});
+    if (std::string words = words_of_late(seen, grid, name); !words.empty())
+      off_grid.push_back(std::move(words));
+    if (std::string words = words_of_off(seen, grid, name); !words.empty())
+      off_grid.push_back(std::move(words));
+    num_left_out += seen.left_out;
     if (seen.left_out > 0)
-      lines.push_back(
+      left_out.push_back(
           fmt::format("source '{}' left out {} of {} releases", name, seen.left_out, seen.of));
+    num_too_soon += seen.too_soon;
     if (seen.too_soon > 0)
-      lines.push_back(fmt::format(
+      too_soon.push_back(fmt::format(
           "source '{}' marked {} releases urgent too soon: less than {} releases after the "
           "urgent one before; they were ordinary ones",
           name, seen.too_soon, grid.urgent_apart));
     if (phases_.size() > grid.clock && phases_[grid.clock] != nullptr &&
         !phases_[grid.clock]->base_ns())
-      lines.push_back(
+      unphased.push_back(
           fmt::format("source '{}' was not released: nothing came on its clock, so its phase "
                       "is not known",
                       name));
   }
-  return lines;
+  into.account.add("release_off_grid", 0, std::move(off_grid));
+  into.account.add("release_left_out", num_left_out, std::move(left_out));
+  into.account.add("urgent_too_soon", num_too_soon, std::move(too_soon));
+  const std::uint64_t num_unphased = unphased.size();
+  into.account.add("source_silent", num_unphased, std::move(unphased));
+}
+
+std::string Releaser::words_of_late(const Seen& seen, const Grid::Source& grid,
+                                    const std::string& name) {
+  if (seen.late == 0) return {};
+  const std::int64_t latest_us = (seen.latest_ns + 999) / 1000;
+  return fmt::format(
+      "source '{}' was released up to {} us late in {} of {} releases; app.json states a jitter of "
+      "{} us: with \"jitter_us\": {} of this source `solve` plans for it",
+      name, latest_us, seen.late, seen.of, grid.jitter_ns / 1000, latest_us);
+}
+
+std::string Releaser::words_of_off(const Seen& seen, const Grid::Source& grid,
+                                   const std::string& name) const {
+  if (seen.off == 0) return {};
+  return fmt::format(
+      "source '{}' was up to {} us off its grid in {} of {} releases{}; app.json states a period "
+      "of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
+      name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of, another_rate(seen, grid),
+      static_cast<double>(grid.period.num) / static_cast<double>(grid.period.den),
+      grid.jitter_ns / 1000, context_.grid.clock_ppm[grid.clock]);
 }
 
 /// The earliest nominal release of the activations that `samples` are for.

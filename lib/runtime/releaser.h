@@ -42,10 +42,7 @@ class Releaser {
   [[nodiscard]] std::string close(const std::vector<ReleaseRecord>& releases);
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
-  /// Of app.json's sources, what did not come as it states, and what was outside of every scenario; a
-  /// line each, after `run`.
-  [[nodiscard]] std::vector<std::string> broken() const;
-  /// No job runs any more: the last look at what tables take for granted. Before `broken` and `report`.
+  /// No job runs any more: the last look at what tables take for granted. Before `report`.
   void stop_watch() {
     if (tables_) tables_->stop_watch();
   }
@@ -75,6 +72,10 @@ class Releaser {
   [[nodiscard]] std::int64_t next_overdue_ns() const;
   void leave_out(int topic, std::uint64_t number, std::int64_t at_ns);
   [[nodiscard]] static std::string another_rate(const Seen& seen, const Grid::Source& grid);
+  [[nodiscard]] static std::string words_of_late(const Seen& seen, const Grid::Source& grid,
+                                                 const std::string& name);
+  [[nodiscard]] std::string words_of_off(const Seen& seen, const Grid::Source& grid,
+                                         const std::string& name) const;
   [[nodiscard]] bool counted_all(int topic);
   [[nodiscard]] Result<bool> release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;

@@ -80,8 +80,9 @@ class Leader final : public Role, private HubHost {
         continue;
       }
       note(member->note);
-      report.taken.insert(report.taken.end(), member->taken.begin(), member->taken.end());
-      if (report.not_watched.empty()) report.not_watched = member->not_watched;
+      Account& of = report.account;
+      of.taken.insert(of.taken.end(), member->account.taken.begin(), member->account.taken.end());
+      if (of.not_watched.empty()) of.not_watched = member->account.not_watched;
       lost.insert(member->lost_coordinators.begin(), member->lost_coordinators.end());
     }
     report.lost_coordinators.assign(lost.begin(), lost.end());

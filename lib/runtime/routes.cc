@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "processes/board.h"
-#include "session/table_claims.h"
+#include "session/changes.h"
 
 namespace xauto::runtime {
 namespace {
@@ -34,7 +34,7 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
   Routes routes;
   routes.single_rate_ = graph.single_rate;
   routes.ends_.resize(graph.nodes.size());
-  const auto end = [&](RouteReport counts, std::size_t source, int node) {
+  const auto end = [&](ChainAccount counts, std::size_t source, int node) {
     Route route;
     route.counts = std::move(counts);
     route.module = graph.nodes[static_cast<std::size_t>(node)].module;
@@ -64,13 +64,15 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
                                      [&](const Graph::Node& n) { return n.name == to; });
       const auto source = std::find_if(graph.sources.begin(), graph.sources.end(),
                                        [&](const SourceSpec& s) { return s.name == from; });
-      end({chain.name, from, to, chain.deadline_us, {}, 0, 0, 0, {}, {}},
+      end({.name = chain.name,
+           .from = from,
+           .to = to,
+           .deadline_us = chain.deadline_us.value_or(0)},
           static_cast<std::size_t>(source - graph.sources.begin()),
           static_cast<int>(node - graph.nodes.begin()));
     }
   }
-  const std::optional<std::int64_t> deadline_us = app.deadline_us;
-  const auto add = [&](RouteReport counts, std::size_t topic, std::size_t module) {
+  const auto add = [&](ChainAccount counts, std::size_t topic, std::size_t module) {
     end(std::move(counts), static_cast<std::size_t>(graph.topics[topic].source),
         graph.modules[module].nodes.back());
   };
@@ -90,8 +92,12 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
       return fail(ErrorCode::kInvalid,
                   "nothing of topic '" + chain.from + "' reaches XModule '" + chain.to + "'",
                   where);
-    add({chain.name, chain.from, chain.to, chain.deadline_us, chain.max_age_us, 0, 0, 0, {}, {}}, t,
-        m);
+    add({.name = chain.name,
+         .from = chain.from,
+         .to = chain.to,
+         .deadline_us = chain.deadline_us.value_or(0),
+         .max_age_us = chain.max_age_us.value_or(0)},
+        t, m);
   }
   if (grid.periodic || !deployment.chains.empty()) return routes;
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
@@ -101,7 +107,11 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     for (std::size_t m = 0; m < reach.size(); ++m)
       if (reach[m] != 0 && graph.modules[m].sink && routes.routes_.size() < kMaxChains) {
         const std::string& to = graph.modules[m].name;
-        add({from + " -> " + to, from, to, deadline_us, {}, 0, 0, 0, {}, {}}, t, m);
+        add({.name = from + " -> " + to,
+             .from = from,
+             .to = to,
+             .deadline_us = app.deadline_us.value_or(0)},
+            t, m);
       }
   }
   return routes;
@@ -114,11 +124,25 @@ void Routes::show_on(Board& board, const Grid* grid) {
     route.line = &board.flow(i + 1);
     route.line->module = static_cast<std::uint32_t>(route.module);
     name_line(route.line->name, route.counts.name);
-    route.line->deadline_us = route.counts.deadline_us.value_or(0);
-    route.line->age_limit_us = route.counts.max_age_us.value_or(0);
+    route.line->deadline_us = route.counts.deadline_us;
+    route.line->age_limit_us = route.counts.max_age_us;
     if (grid != nullptr && route.source < grid->sources.size())
       route.line->period_us = grid->sources[route.source].period_ns() / 1000;
   }
+}
+
+void Routes::show_claim(std::size_t chain, const Claim& claim) {
+  Route& route = routes_[chain];
+  route.counts.worst_case_us = claim.worst_case_us;
+  route.counts.lower_bound_us = claim.lower_bound_us;
+  route.counts.urgent_worst_case_us = claim.urgent_worst_case_us;
+  route.urgent_allowed_us = claim.urgent_worst_case_us + claim.more_us;
+  if (route.line == nullptr) return;
+  route.line->worst_case_us = claim.worst_case_us;
+  route.line->allowed_us = claim.worst_case_us + claim.more_us;
+  route.line->lower_bound_us = claim.lower_bound_us;
+  route.line->urgent_worst_case_us = claim.urgent_worst_case_us;
+  route.line->urgent_allowed_us = route.urgent_allowed_us;
 }
 
 void Routes::claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us,
@@ -162,13 +186,16 @@ void Routes::judge(const Ended& ended) {
   if (claimed->change) meet(*claimed, ended.chain, ended.us);
   if (ended.us <= claimed_us + claimed_us * claimed->more_pct / 100) return;
   Route& route = routes_[ended.chain];
-  RouteReport& counts = route.counts;
+  ChainAccount& counts = route.counts;
   ++counts.over_claim;
   if (ended.us - claimed_us > counts.over_us - counts.over_claimed_us) {
     counts.over_us = ended.us;
     counts.over_claimed_us = claimed_us;
   }
-  if (route.line != nullptr) route.line->over.fetch_add(1, std::memory_order_relaxed);
+  if (route.line == nullptr) return;
+  route.line->over_us.store(counts.over_us, std::memory_order_relaxed);
+  route.line->over_claimed_us.store(counts.over_claimed_us, std::memory_order_relaxed);
+  route.line->over.fetch_add(1);
 }
 
 std::vector<Routes::Met> Routes::met() const {
@@ -210,18 +237,22 @@ bool Routes::was_off(const Route& route, std::int64_t origin_ns, std::int64_t no
 void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
                    std::optional<std::int64_t>& missed_us) {
   if (was_off(route, origin_ns, now_ns)) return;
-  RouteReport& counts = route.counts;
+  ChainAccount& counts = route.counts;
   const std::int64_t latency_us = (now_ns - origin_ns) / 1000;
-  if (!claims_.empty()) {
-    ended_.push_back({static_cast<std::size_t>(&route - routes_.data()), origin_ns, latency_us});
+  const Ended ended{static_cast<std::size_t>(&route - routes_.data()), origin_ns, latency_us};
+  if (!may_change_) {
+    judge(ended);
+  } else if (!claims_.empty()) {
+    ended_.push_back(ended);
     if (ended_.size() > kMostEnded) {
       judge(ended_.front());
       ended_.pop_front();
     }
   }
   counts.latency_us.add(latency_us);
+  counts.longest_us = std::max(counts.longest_us, latency_us);
   if (route.line != nullptr) route.line->add(latency_us, now_ns);
-  if (!counts.deadline_us || latency_us <= *counts.deadline_us) return;
+  if (counts.deadline_us == 0 || latency_us <= counts.deadline_us) return;
   ++counts.deadline_misses;
   if (route.line != nullptr) route.line->late.fetch_add(1, std::memory_order_relaxed);
   missed_us = std::max(missed_us.value_or(0), latency_us);
@@ -233,7 +264,10 @@ void Routes::released(std::size_t source, std::int64_t origin_ns) {
   for (Route& route : routes_) {
     if (route.source != source || route.period_ns == 0) continue;
     route.unknown.push_back(origin_ns);
-    if (route.unknown.size() > kMostUnknown) route.unknown.pop_front();
+    if (route.unknown.size() <= kMostUnknown) continue;
+    route.unknown.pop_front();  // whoever tells of it now comes too late for any limit
+    ++route.counts.lost;
+    route.counts.deadline_misses += route.counts.deadline_us > 0 ? 1 : 0;
   }
 }
 
@@ -248,12 +282,12 @@ std::size_t Routes::newly_known(const Route& route, std::int64_t origin_ns) {
 /// What the last result says becomes as old as it gets.
 void Routes::grow_old(Route& route, std::int64_t now_ns, std::optional<std::int64_t>& missed_us) {
   if (route.last_origin_ns == 0 || was_off(route, route.last_origin_ns, now_ns)) return;
-  RouteReport& counts = route.counts;
+  ChainAccount& counts = route.counts;
   const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;
   counts.age_us.add(age_us);
   if (route.line != nullptr)
     route.line->max_age_us.store(counts.age_us.max(), std::memory_order_relaxed);
-  if (!counts.max_age_us || age_us <= *counts.max_age_us) return;
+  if (counts.max_age_us == 0 || age_us <= counts.max_age_us) return;
   ++counts.age_misses;
   if (route.line != nullptr) route.line->old.fetch_add(1, std::memory_order_relaxed);
   missed_us = std::max(missed_us.value_or(0), age_us);
@@ -273,10 +307,14 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
     if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];
     if (origin == 0) continue;  // nothing of this sensor is in it
     const auto result_of = [&](std::int64_t release_ns) {
-      if (lockstep_ && release_ns != newest_ns_)
-        ++route.counts.not_measured;
-      else
+      if (!lockstep_ || release_ns == newest_ns_) {
         count(route, release_ns, now_ns, missed_us);
+      } else if (single_rate_) {  // nothing else has come between: it was lost
+        ++route.counts.lost;
+        route.counts.deadline_misses += route.counts.deadline_us > 0 ? 1 : 0;
+      } else {
+        ++route.counts.not_measured;
+      }
     };
     if (route.period_ns == 0) {
       result_of(origin);
@@ -290,8 +328,13 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
         continue;
       }
       if (urgent && route.hurries) {
-        route.counts.urgent_us.add((now_ns - origin) / 1000);
-        if (route.line != nullptr) route.line->add_urgent((now_ns - origin) / 1000);
+        const std::int64_t urgent_us = (now_ns - origin) / 1000;
+        ChainAccount& counts = route.counts;
+        counts.urgent_us.add(urgent_us);
+        counts.longest_urgent_us = std::max(counts.longest_urgent_us, urgent_us);
+        if (counts.urgent_worst_case_us > 0 && urgent_us > route.urgent_allowed_us)
+          counts.urgent_exceeded = true;
+        if (route.line != nullptr) route.line->add_urgent(urgent_us);
       }
       for (auto release = end; release != route.unknown.begin();) result_of(*--release);
       route.unknown.erase(route.unknown.begin(), end);
@@ -306,41 +349,54 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
   return missed_us;
 }
 
-/// Releases without a result whose deadline has passed.
-std::uint64_t Routes::missed_for_good(const Route& route, const Unended& unended) const {
-  if (!route.counts.deadline_us || route.source >= unended.newest_ns.size()) return 0;
-  const std::int64_t newest_ns = unended.newest_ns[route.source],
-                     limit_ns = *route.counts.deadline_us * 1000;
-  if (newest_ns == 0) return 0;
-  if (route.period_ns == 0)
-    return unended.at_ns - newest_ns > limit_ns
-               ? unended.of_module[static_cast<std::size_t>(route.module)]
-               : 0;
-  // Behind samples nobody need know of what was released last: its reader is not released any more.
-  const std::int64_t until_ns =
-      route.through_samples ? *std::max_element(unended.newest_ns.begin(), unended.newest_ns.end())
-                            : unended.at_ns;
-  // As they are counted where a result knows them. In lockstep time between releases means nothing.
+/// Releases that no result knows, and that were older than `limit_ns` when it was over.
+std::uint64_t Routes::unanswered(const Route& route, std::int64_t over_ns,
+                                 std::int64_t limit_ns) const {
+  // In lockstep time between releases means nothing.
   if (lockstep_ || (route.last_origin_ns == 0 && route.through_samples)) return 0;
-  return static_cast<std::uint64_t>(
-      std::count_if(route.unknown.begin(), route.unknown.end(), [&](std::int64_t at) {
-        return until_ns - at > limit_ns && !was_off(route, at, unended.at_ns);
-      }));
+  return static_cast<std::uint64_t>(std::count_if(
+      route.unknown.begin(), route.unknown.end(),
+      [&](std::int64_t at) { return over_ns - at > limit_ns && !was_off(route, at, over_ns); }));
 }
 
-std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost,
-                                        const Unended* unended) const {
-  std::vector<RouteReport> result;
+/// What has no result, and never will.
+void Routes::lose(const Route& route, const std::vector<std::uint64_t>& lost,
+                  const Unended* unended, const std::vector<std::int64_t>& newest_ns,
+                  ChainAccount& into) const {
+  const auto module = static_cast<std::size_t>(route.module);
+  const std::int64_t limit_ns = into.deadline_us * 1000;
+  if (route.period_ns == 0) {  // by activations
+    into.lost = lost[module] + (unended != nullptr ? unended->of_module[module] : 0);
+    if (into.deadline_us == 0) return;
+    if (single_rate_) into.deadline_misses += lost[module];
+    if (unended == nullptr || route.source >= newest_ns.size() || newest_ns[route.source] == 0)
+      return;
+    if (unended->at_ns - newest_ns[route.source] > limit_ns)
+      into.deadline_misses += unended->of_module[module];
+    return;
+  }
+  // At several rates, and behind samples, nobody need know of what was released last: who would tell of it is not
+  // released any more. A run that gave up has no such end.
+  const std::int64_t newest_of_all_ns =
+      newest_ns.empty() ? 0 : *std::ranges::max_element(newest_ns);
+  const bool ends_early = route.through_samples || (unended == nullptr && !single_rate_);
+  const std::int64_t over_ns = ends_early           ? newest_of_all_ns
+                               : unended != nullptr ? unended->at_ns
+                                                    : INT64_MAX;
+  const std::int64_t may_wait_ns =
+      1000 * std::max({into.deadline_us, into.worst_case_us, into.longest_us});
+  into.lost += unanswered(route, over_ns, ends_early ? may_wait_ns : 0);
+  if (into.deadline_us > 0) into.deadline_misses += unanswered(route, over_ns, limit_ns);
+}
+
+std::vector<ChainAccount> Routes::report(const std::vector<std::uint64_t>& lost,
+                                         const Unended* unended,
+                                         const std::vector<std::int64_t>& newest_ns) const {
+  std::vector<ChainAccount> result;
   const Guard lock(*mutex_);
   for (const Route& route : routes_) {
-    RouteReport counts = route.counts;
-    counts.lost = lost[static_cast<std::size_t>(route.module)];
-    if (single_rate_ && counts.deadline_us) counts.deadline_misses += counts.lost;
-    if (unended != nullptr) {
-      counts.lost += unended->of_module[static_cast<std::size_t>(route.module)];
-      counts.deadline_misses += missed_for_good(route, *unended);
-    }
-    result.push_back(std::move(counts));
+    result.push_back(route.counts);
+    lose(route, lost, unended, newest_ns, result.back());
   }
   return result;
 }

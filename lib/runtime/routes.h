@@ -22,7 +22,7 @@
 #include "graph/graph.h"
 #include "model/deployment.h"
 #include "runtime/grid.h"
-#include "session/run_report.h"
+#include "session/account.h"
 
 namespace xauto::runtime {
 
@@ -72,11 +72,19 @@ class Routes {
   std::optional<std::int64_t> published(int node, std::int64_t origin_ns,
                                         const detail::Origins* origins, std::int64_t now_ns,
                                         bool urgent = false);
+  /// What the policy claims of a chain, and what it may take; before the run. 0: nothing.
+  struct Claim {
+    std::int64_t worst_case_us = 0, lower_bound_us = 0, urgent_worst_case_us = 0;
+    std::int64_t more_us = 0;  ///< the emulator's own part
+  };
+  void show_claim(std::size_t chain, const Claim& claim);
   /// Releases of the chains' sources from `from_ns` on, until that of the next call, are said to take at
   /// most so long (us, by chain; 0: nothing is claimed), and may take `more_pct` more. At most kKeptClaims
   /// calls are remembered. `change`: these releases meet it.
   void claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us, std::int64_t more_pct = 0,
              std::optional<MetChange> change = {});
+  /// From here on claims may change after a result has come, which is then judged late. Before the run.
+  void claims_may_change() { may_change_ = true; }
   /// Holds what has ended since the last call against the claims that are there by now: a job that was too long may
   /// have been known to be only after its result. Without claims nothing waits.
   void judge();
@@ -96,15 +104,16 @@ class Routes {
   struct Unended {
     std::int64_t at_ns = 0;                ///< when it did
     std::vector<std::uint64_t> of_module;  ///< activations
-    std::vector<std::int64_t> newest_ns;   ///< [source] its last release; 0: none
   };
-  /// `lost`: [module] activations that failed or were dropped. `unended`: null: nothing was left.
-  [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost,
-                                                const Unended* unended = nullptr) const;
+  /// `lost`: [module] activations that failed or were dropped. `unended`: null: nothing was left. `newest_ns`: [source]
+  /// its last release; 0: none.
+  [[nodiscard]] std::vector<ChainAccount> report(
+      const std::vector<std::uint64_t>& lost, const Unended* unended = nullptr,
+      const std::vector<std::int64_t>& newest_ns = {}) const;
 
  private:
   struct Route {
-    RouteReport counts;
+    ChainAccount counts;
     int module = -1;         ///< of the node where it ends
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
@@ -113,6 +122,7 @@ class Routes {
     std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
     std::deque<std::int64_t> unknown = {};  ///< releases of the source that no result knows yet
     FlowLine* line = nullptr;               ///< null: nobody looks
+    std::int64_t urgent_allowed_us = 0;
     bool hurries = false;  ///< an urgent activation of its end is of an urgent release
   };
   void count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
@@ -130,7 +140,10 @@ class Routes {
   };
   void judge(const Ended& ended);
   void meet(const Claims& claims, std::size_t chain, std::int64_t us);
-  [[nodiscard]] std::uint64_t missed_for_good(const Route& route, const Unended& unended) const;
+  [[nodiscard]] std::uint64_t unanswered(const Route& route, std::int64_t over_ns,
+                                         std::int64_t limit_ns) const;
+  void lose(const Route& route, const std::vector<std::uint64_t>& lost, const Unended* unended,
+            const std::vector<std::int64_t>& newest_ns, ChainAccount& into) const;
   [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
   struct Have {
     std::int64_t from_ns = 0;
@@ -144,6 +157,7 @@ class Routes {
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
   bool lockstep_ = false;
+  bool may_change_ = false;  ///< claims may, after a result has come
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
   std::vector<Route> routes_;   ///< counts guarded by mutex_
   std::deque<Claims> claims_;   ///< likewise; by time

@@ -12,7 +12,7 @@
 #include "model/claims.h"
 #include "model/drain.h"
 #include "runtime/placing.h"
-#include "session/table_claims.h"
+#include "session/changes.h"
 
 namespace xauto::runtime {
 namespace {
@@ -357,20 +357,6 @@ std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machin
   return news.say;
 }
 
-std::vector<std::string> TableSwitch::broken() {
-  thread_.check();
-  const Guard lock(mutex_);
-  std::vector<std::string> lines;
-  const BoardHeader& header = context_.board.header();
-  if (const std::uint64_t n = header.unproven_switches.load(); n > 0)
-    lines.push_back(words_of_unproven(n));
-  if (const std::uint64_t n = header.unsettled.load(); n > 0)
-    lines.push_back(words_of_unsettled(n));
-  const std::vector<std::string> outside = outside_.all();
-  lines.insert(lines.end(), outside.begin(), outside.end());
-  return lines;
-}
-
 void TableSwitch::report(RunReport& into) {
   thread_.check();
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
@@ -387,6 +373,9 @@ void TableSwitch::report(RunReport& into) {
     change.worst_case_us = met.claimed_us;
   }
   into.num_switches = num_switches_;
+  const Guard lock(mutex_);
+  into.account.add("job_outside_scenarios", 0, outside_.all(OutsideLog::Kind::kJob));
+  into.account.add("clock_outside_scenarios", 0, outside_.all(OutsideLog::Kind::kFile));
 }
 
 }  // namespace xauto::runtime

@@ -81,10 +81,8 @@ class TableSwitch {
 
   /// No job runs any more: looks for the last time, and ends the watch. Idempotent.
   void stop_watch();
-  /// After the last release has ended, and the watch.
+  /// Adds scenarios, changes, and what was outside of every scenario. After the last release has ended, and the watch.
   void report(RunReport& into);
-  /// What was outside of every scenario, a line each; after the run.
-  [[nodiscard]] std::vector<std::string> broken();
 
  private:
   TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger);

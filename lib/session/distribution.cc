@@ -53,6 +53,7 @@ void Distribution::give_up_exactness() {
 
 std::map<std::uint32_t, std::uint64_t> Distribution::buckets() const {
   std::map<std::uint32_t, std::uint64_t> used;
+  for (const std::int64_t value : exact_) ++used[bucket_of(value)];
   for (std::uint32_t b = 0; b < buckets_.size(); ++b)
     if (buckets_[b] != 0) used[b] = buckets_[b];
   return used;

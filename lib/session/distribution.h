@@ -24,7 +24,7 @@ class Distribution {
     return count_ == 0 ? 0 : sum_ / static_cast<std::int64_t>(count_);
   }
 
-  // For the way between processes: either the values, or buckets with their counts.
+  // For the way between processes: the values as long as there are few, and always buckets with their counts.
   [[nodiscard]] const std::vector<std::int64_t>& exact() const { return exact_; }
   [[nodiscard]] std::map<std::uint32_t, std::uint64_t> buckets() const;
   [[nodiscard]] std::int64_t sum() const { return sum_; }

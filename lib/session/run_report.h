@@ -9,6 +9,7 @@
 
 #include <xauto/result.h>
 
+#include "session/account.h"
 #include "session/distribution.h"
 
 namespace xauto::runtime {
@@ -48,46 +49,12 @@ struct XNodeReport {
 };
 inline constexpr std::size_t kKeptReleases = 65'536;
 
-/// A chain from a sensor to a result (runtime/routes.h).
-struct RouteReport {
-  std::string name, from, to;
-  std::optional<std::int64_t> deadline_us, max_age_us;
-  /// Results later than the deadline, and in an app of one rate, or a run that gave up, releases without one.
-  std::uint64_t deadline_misses = 0;
-  std::uint64_t lost = 0;        ///< activations of `to` that failed, were dropped or did not end
-  std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
-  /// In lockstep: results that waited for another release. They have a time that measures nothing.
-  std::uint64_t not_measured = 0;
-  /// By tables: releases that took longer than their scenario claims, or the change that they met.
-  std::uint64_t over_claim = 0;
-  Distribution latency_us, age_us;
-  Distribution urgent_us =
-      {};  ///< of latency_us, the releases that the chain's source marked urgent
-  std::int64_t over_us = 0,
-               over_claimed_us = 0;  ///< of over_claim: the worst one, and what is claimed
-};
-
-/// What was not suspended as it should (base/context_counts.h).
-struct ContextReport {
-  std::uint32_t partial = 0, unclaimed = 0, assumed = 0, shared = 0, gated = 0, held_up = 0,
-                misplaced = 0;
-  [[nodiscard]] bool any() const {
-    return (partial | unclaimed | assumed | shared | gated | held_up | misplaced) != 0;
-  }
-};
-
 /// What suspending work on a real XPU cost, by the calls of its driver.
 struct PreemptionReport {
   std::string xpu;
   std::uint64_t suspensions = 0;
   std::int64_t suspend_us = 0, resume_us = 0;  ///< the longest
   std::int64_t preempt_us = 0;                 ///< what the platform says of both
-};
-
-/// An XNode whose work was not suspended for others, or not resumed, since the call failed.
-struct FailedPreemptionReport {
-  std::string xnode, xpu;
-  std::uint64_t suspends = 0, resumes = 0;
 };
 
 /// A scenario of a run with tables.
@@ -111,12 +78,6 @@ struct SwitchReport {
 };
 inline constexpr std::size_t kKeptSwitches = 4096;
 
-/// What took time away from the run, and is no job of it: a machine that ran something else.
-struct TakenReport {
-  std::string what;     ///< for people
-  std::int64_t us = 0;  ///< the most at once; of what is only known as a sum, all of it
-};
-
 /// Jobs that started before their planned start (runtime/early_start.h), and by how much together.
 struct EarlyStartReport {
   bool on = false;  ///< it may happen in this run
@@ -126,35 +87,19 @@ struct EarlyStartReport {
 
 struct RunReport {
   bool complete = false;                ///< every release was accounted for before the end
-  std::string not_complete;             ///< why not, for people
-  std::string note;                     ///< the same, or what was done differently; for people
+  std::string note;                     ///< why not, or what was done differently; for people
   std::vector<ReleaseRecord> releases;  ///< of an app of one rate: the last kKeptReleases
   /// Of all; lost are those without a result, also where a run gave up.
   std::uint64_t num_releases = 0, lost_releases = 0;
   Distribution latencies_us;  ///< of all that were not lost
   std::vector<ModuleReport> modules;
   std::vector<XNodeReport> xnodes;  ///< those with limits
-  std::vector<RouteReport> routes;
-  ContextReport contexts;
+  Account account;                  ///< chains, claims and whether they were kept
   EarlyStartReport early_starts;
   std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
-  std::vector<FailedPreemptionReport> failed_preemptions;
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
-  /// Coordinators and emulators that did, a line each; by whom they are looked after, who adds it to the
-  /// app's report.
-  std::vector<std::string> dead_daemons;
   std::uint64_t deadline_misses = 0;
-  /// Of an app that releases one at a time: releases that came while an earlier one was still in flight.
-  std::uint64_t overlapping_releases = 0;
-  /// What the policy's worst case takes for granted (model/claims.h) and this run does not keep by
-  /// the way it was set up; a line each, for people.
-  std::vector<std::string> unkept;
-  /// What app.json states and this run saw otherwise: then its claims do not hold; a line each.
-  std::vector<std::string> broken;
-  /// Beside `unkept` and `broken`, as far as it is watched. A claim is about a machine that gives a CPU at once.
-  std::vector<TakenReport> taken;
-  std::string not_watched;  ///< why some of that is not watched here; empty: it is
   /// Of a run with tables; empty of others. The last kKeptSwitches of `num_switches`.
   std::vector<ScenarioReport> scenarios;
   std::vector<SwitchReport> switches;

@@ -48,19 +48,32 @@ void fields(Io io, T& x) {
      x.unended_us);
 }
 
-template <class Io, Is<RouteReport> T>
+template <class Io, Is<Assumption> T>
 void fields(Io io, T& x) {
-  io("name", x.name, "from", x.from, "to", x.to, "deadline_us", x.deadline_us, "max_age_us",
-     x.max_age_us, "deadline_misses", x.deadline_misses, "lost", x.lost, "age_misses", x.age_misses,
-     "not_measured", x.not_measured, "over_claim", x.over_claim, "over_us", x.over_us,
-     "over_claimed_us", x.over_claimed_us, "latency_us", x.latency_us, "age_us", x.age_us,
-     "urgent_us", x.urgent_us);
+  io("kind", x.kind, "count", x.count, "words", x.words);
 }
 
-template <class Io, Is<ContextReport> T>
+template <class Io, Is<TakenReport> T>
 void fields(Io io, T& x) {
-  io("partial", x.partial, "unclaimed", x.unclaimed, "assumed", x.assumed, "shared", x.shared,
-     "gated", x.gated, "held_up", x.held_up, "misplaced", x.misplaced);
+  io("what", x.what, "us", x.us);
+}
+
+template <class Io, Is<ChainAccount> T>
+void fields(Io io, T& x) {
+  io("name", x.name, "from", x.from, "to", x.to, "deadline_us", x.deadline_us, "max_age_us",
+     x.max_age_us, "worst_case_us", x.worst_case_us, "lower_bound_us", x.lower_bound_us,
+     "urgent_worst_case_us", x.urgent_worst_case_us, "latency_us", x.latency_us, "age_us", x.age_us,
+     "urgent_us", x.urgent_us, "longest_us", x.longest_us, "longest_urgent_us", x.longest_urgent_us,
+     "deadline_misses", x.deadline_misses, "age_misses", x.age_misses, "lost", x.lost,
+     "not_measured", x.not_measured, "over_claim", x.over_claim, "over_us", x.over_us,
+     "over_claimed_us", x.over_claimed_us, "urgent_exceeded", x.urgent_exceeded);
+}
+
+/// What only a run that goes on has does not travel.
+template <class Io, Is<Account> T>
+void fields(Io io, T& x) {
+  io("scope", x.scope, "why_nothing", x.why_nothing, "chains", x.chains, "assumptions",
+     x.assumptions, "taken", x.taken, "not_watched", x.not_watched);
 }
 
 template <class Io, Is<EarlyStartReport> T>
@@ -72,11 +85,6 @@ template <class Io, Is<PreemptionReport> T>
 void fields(Io io, T& x) {
   io("xpu", x.xpu, "suspensions", x.suspensions, "suspend_us", x.suspend_us, "resume_us",
      x.resume_us, "preempt_us", x.preempt_us);
-}
-
-template <class Io, Is<FailedPreemptionReport> T>
-void fields(Io io, T& x) {
-  io("xnode", x.xnode, "xpu", x.xpu, "suspends", x.suspends, "resumes", x.resumes);
 }
 
 template <class Io, Is<ScenarioReport> T>
@@ -91,22 +99,14 @@ void fields(Io io, T& x) {
      "chain", x.chain);
 }
 
-template <class Io, Is<TakenReport> T>
-void fields(Io io, T& x) {
-  io("what", x.what, "us", x.us);
-}
-
 template <class Io, Is<RunReport> T>
 void fields(Io io, T& x) {
-  io("complete", x.complete, "not_complete", x.not_complete, "note", x.note, "releases", x.releases,
-     "num_releases", x.num_releases, "lost_releases", x.lost_releases, "latencies_us",
-     x.latencies_us, "modules", x.modules, "xnodes", x.xnodes, "routes", x.routes, "contexts",
-     x.contexts, "early_starts", x.early_starts, "preemptions", x.preemptions, "failed_preemptions",
-     x.failed_preemptions, "lost_coordinators", x.lost_coordinators, "died", x.died,
-     "deadline_misses", x.deadline_misses, "overlapping_releases", x.overlapping_releases, "unkept",
-     x.unkept, "broken", x.broken, "taken", x.taken, "not_watched", x.not_watched, "scenarios",
-     x.scenarios, "switches", x.switches, "num_switches", x.num_switches, "several_rates",
-     x.several_rates, "recording_error", x.recording_error);
+  io("complete", x.complete, "note", x.note, "releases", x.releases, "num_releases", x.num_releases,
+     "lost_releases", x.lost_releases, "latencies_us", x.latencies_us, "modules", x.modules,
+     "xnodes", x.xnodes, "account", x.account, "early_starts", x.early_starts, "preemptions",
+     x.preemptions, "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses",
+     x.deadline_misses, "scenarios", x.scenarios, "switches", x.switches, "num_switches",
+     x.num_switches, "several_rates", x.several_rates, "recording_error", x.recording_error);
 }
 
 template <class Io, Is<Error> T>
@@ -214,10 +214,11 @@ struct Reader {
 Json encode(const Distribution& x) {
   std::vector<std::uint32_t> buckets;
   std::vector<std::uint64_t> counts;
-  for (const auto& [bucket, count] : x.buckets()) {
-    buckets.push_back(bucket);
-    counts.push_back(count);
-  }
+  if (x.exact().empty())
+    for (const auto& [bucket, count] : x.buckets()) {
+      buckets.push_back(bucket);
+      counts.push_back(count);
+    }
   return {{"values", x.exact()},
           {"buckets", buckets},
           {"counts", counts},

@@ -90,7 +90,7 @@ std::string outputs_section(const ReadTrace& trace) {
         "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>{}"
         "<td style='text-align:left'>{}</td></tr>",
         html_safe(name), list.size(), ms(quantile_of_sorted(list, 0.5)),
-        ms(quantile_of_sorted(list, 0.99)), ms(list.back()),
+        list.size() < kLeastOfP99 ? "-" : ms(quantile_of_sorted(list, 0.99)), ms(list.back()),
         deadline ? fmt::format("<td>{}</td>", misses) : "", histogram(list, from, to));
   }
   return html + "</table>";
@@ -107,7 +107,7 @@ std::vector<ChainCounts> counts_of(const ReadTrace& trace) {
     std::sort(us.begin(), us.end());
     if (!us.empty()) {
       counts.p50_us = quantile_of_sorted(us, 0.5);
-      counts.p99_us = quantile_of_sorted(us, 0.99);
+      if (us.size() >= kLeastOfP99) counts.p99_us = quantile_of_sorted(us, 0.99);
       counts.max_us = us.back();
     }
     counts.deadline_us = chain.deadline_us;
@@ -289,7 +289,7 @@ std::vector<Panel> output_panels(const std::string& id, const std::string& name,
     Latencies sorted = panel.latencies_us;
     std::sort(sorted.begin(), sorted.end());
     panel.p50_us = quantile_of_sorted(sorted, 0.5);
-    panel.p99_us = quantile_of_sorted(sorted, 0.99);
+    if (sorted.size() >= kLeastOfP99) panel.p99_us = quantile_of_sorted(sorted, 0.99);
     panel.max_us = sorted.back();
     panel.shown_sequence = worst.number;
     panel.shown_latency_us = worst.latency_us;

@@ -171,7 +171,7 @@ def judged(kind, text, said, status):
     for run in report.get("runs", []):
         hurt = [s for s in said if s.split()[0] in ("SIGKILL", "SIGSEGV", "SIGABRT", "SIGBUS") and not s.endswith(" xauto")]
         claimed = run.get("worst_case_us") is not None or any(c.get("worst_case_us") is not None for c in run.get("chains", []))
-        broken = run.get("worst_case_broken") or run.get("broken") or any(c.get("broken") for c in run.get("chains", []))
+        broken = run["claims"]["broken"]
         if hurt and claimed and run.get("complete", True) and broken in (None, [], False, ""):
             bad.append(f"claims stand although there was {hurt}")
         for module in run.get("modules", []):

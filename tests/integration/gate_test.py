@@ -148,7 +148,7 @@ class Gate(unittest.TestCase):
         self.assertGreater(run["trace_events_overwritten"], 0, done.stderr)
         counted = {x["name"]: x["over_wcet"] for x in run["limited_xnodes"]}
         self.assertGreaterEqual(counted["b1"], 3)
-        self.assertRegex(" ".join(run["worst_case_broken"]), rf"\b{sum(counted.values())} of \d+ jobs outran their WCET")
+        self.assertRegex(" ".join(run["claims"]["broken"]), rf"\b{sum(counted.values())} of \d+ jobs outran their WCET")
 
     def test_a_process_that_is_gone_for_good(self):
         """With several rates lost activations make no status 1; who loses all from now on does."""
@@ -189,7 +189,7 @@ class Gate(unittest.TestCase):
                      "--json", "--", BIN / "driving-rates")
         self.assertIn("`xauto check` refuses it here", done.stderr)
         self.assertIn("`xauto check` refuses the policy",
-                      "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))
+                      "".join(json.loads(done.stdout)["runs"][0]["claims"]["broken"]))
 
     def test_a_policy_of_one_release_that_was_edited(self):
         files = testapp_files(self.folder)
@@ -202,7 +202,7 @@ class Gate(unittest.TestCase):
         done = xauto(*run)
         self.assertIn("policy.json: `xauto check` refuses it here: chain 'src -> c1': worst_case_us is 2999",
                       done.stderr)
-        self.assertIn("`xauto check` refuses the policy", "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))
+        self.assertIn("`xauto check` refuses the policy", "".join(json.loads(done.stdout)["runs"][0]["claims"]["broken"]))
 
     def test_what_cannot_be_is_refused(self):
         done, _ = self.run_app("miss,late")

@@ -134,7 +134,7 @@ class Pipelined(Case):
 
     def left_out(self, run):
         """By source; where the machine stands still, the driver leaves out releases that it was not told to."""
-        said = " ".join(run["worst_case_broken"])
+        said = " ".join(run["claims"]["broken"])
         return {s: int((re.findall(f"source '{s}' left out ([0-9]+) of", said) or [0])[0])
                 for s in ("camera/front", "camera/rear", "lidar/top")}
 
@@ -152,7 +152,7 @@ class Pipelined(Case):
         run = self.run_pushed(self.PERIOD_US)
         self.assertGreater(run["activations"] + run["lost_activations"], 50)
         self.assert_what_is_left_out_is_lost_and_nothing_else(run)
-        self.assertNotIn("taken as they come", " ".join(run["worst_case_broken"]))
+        self.assertNotIn("taken as they come", " ".join(run["claims"]["broken"]))
 
     def test_a_frame_that_is_left_out_is_lost_and_nothing_else(self):
         run = self.run_pushed(self.PERIOD_US, 40)
@@ -161,7 +161,7 @@ class Pipelined(Case):
 
     def test_another_period_than_stated_is_told(self):
         run = self.run_pushed(self.PERIOD_US + 1000)
-        self.assertRegex(" ".join(run["worst_case_broken"]), "source 'camera/front' was up to [0-9]+ us off its grid")
+        self.assertRegex(" ".join(run["claims"]["broken"]), "source 'camera/front' was up to [0-9]+ us off its grid")
 
     def test_a_program_with_less_room_is_refused(self):
         text = self.run_pipelined("--seconds", 1, status=2, room=2)

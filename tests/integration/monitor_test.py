@@ -161,14 +161,14 @@ class Prometheus(Monitored):
     def test_a_coordinator_and_an_emulator_that_are_started_again_are_deaths_too(self):
         tool = self.start_testapp("emulated", 1000, period_us=50_000, more=["--emulate"])
         wait_for("results", lambda: activations(tool).get("C", 0) > 1, tool)
-        deaths = lambda: value_of(self.metrics(tool), "xauto_assumption_violations_total", kind="process_death")
+        deaths = lambda: value_of(self.metrics(tool), "xauto_assumption_violations_total", kind="daemon_death")
         self.assertEqual(deaths(), 0)
         for n, name in enumerate(("xauto-emud", "xauto-coordinat")):
             child = next(p for p in self.children(tool) if pathlib.Path(f"/proc/{p}/comm").read_text().strip() == name)
             os.kill(child, signal.SIGKILL)
             wait_for("its death", lambda: deaths() == n + 1, tool)
         self.assertEqual(value_of(self.metrics(tool), "xauto_claim_stands"), 0)
-        broken = self.report(tool)["worst_case_broken"]
+        broken = self.report(tool)["claims"]["broken"]
         self.assertIn("xauto-emud died and was restarted", broken)
         self.assertRegex(" ".join(broken), r"xauto-coordinator of (cpu0|npu0) died and was restarted")
 
@@ -286,9 +286,9 @@ class Prometheus(Monitored):
         self.assertEqual(value_of(self.metrics(tool), "xauto_claim_stands"), 0)
         self.assertIn("jobs outran the WCET of their scenario", self.once(tool, "--json"))
         report = self.report(tool)
-        self.assertRegex(" ".join(report["worst_case_broken"]), r"[1-9]\d* of \d+ jobs outran the WCET of their scenario, \w+ by \d+\.\d{3} ms")
+        self.assertRegex(" ".join(report["claims"]["broken"]), r"[1-9]\d* of \d+ jobs outran the WCET of their scenario, \w+ by \d+\.\d{3} ms")
         over = sum(x["over_wcet"] for x in report["limited_xnodes"])
-        self.assertIn(f"{over} of ", " ".join(report["worst_case_broken"]))
+        self.assertIn(f"{over} of ", " ".join(report["claims"]["broken"]))
 
     def board_asks_for_what_there_is(self, *exported):
         """Each metric and label in the Grafana board's queries is in what these runs export."""

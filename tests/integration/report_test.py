@@ -189,7 +189,7 @@ class Report(unittest.TestCase):
         self.assertEqual(set(rows), set(by_chain))
         for name, reactions in by_chain.items():
             expected = {"n": str(ACTIVATIONS), "p50": ms(quantile(reactions, 0.5)),
-                        "p99": ms(quantile(reactions, 0.99)), "max": ms(max(reactions)), "deadline": ms(deadline),
+                        "p99": "-", "max": ms(max(reactions)), "deadline": ms(deadline),
                         "missed": str(sum(us > deadline for us in reactions))}
             self.assertEqual({k: rows[name][k] for k in expected}, expected, name)
 
@@ -202,7 +202,7 @@ class Report(unittest.TestCase):
         self.assertEqual(set(rows), set(by_output))
         deadline = json.loads(pathlib.Path(APP).read_text())["deadline_us"]
         for name, latencies in by_output.items():
-            expected = {"n": str(ACTIVATIONS), "p50": ms(quantile(latencies, 0.5)), "p99": ms(quantile(latencies, 0.99)),
+            expected = {"n": str(ACTIVATIONS), "p50": ms(quantile(latencies, 0.5)), "p99": "-",
                         "max": ms(max(latencies)), "missed": str(sum(us > deadline for us in latencies))}
             self.assertEqual({k: rows[name][k] for k in expected}, expected, name)
         self.assertEqual(self.html.count("<svg viewBox='0 0 240 34'"), len(by_output))  # a distribution each

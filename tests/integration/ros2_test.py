@@ -42,7 +42,7 @@ class Ros2(unittest.TestCase):
             self.assertGreater(modules["statistics"], 0)
             # Lost is only what was released as the run ended: a gate has one callback with the app at a time. Releases that a
             # machine that stands still leaves out of the grid had no callback.
-            left_out = sum(int(n) for line in run["worst_case_broken"] for n in re.findall(r"left out (\d+) of", line))
+            left_out = sum(int(n) for line in run["claims"]["broken"] for n in re.findall(r"left out (\d+) of", line))
             self.assertLessEqual(run["lost_activations"] - left_out, 2)
             jobs = [s.name.split(" ")[0] for s in pftrace.Trace((folder / "t.pftrace").read_bytes()).on("run", "run")]
             self.assertGreaterEqual(jobs.count("detect.callback"), 1)

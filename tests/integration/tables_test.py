@@ -241,7 +241,7 @@ class Tables(unittest.TestCase):
         clock.write_text("100000000\n")
         wait_for("slow, for want of anything slower", lambda: self.mode()["now"] == "slow", self.tool)
         report = self.end()
-        self.assertIn(f"those of no scenario: {clock} is 100000000, every scenario needs at least 450000000; 'slow'", str(report["worst_case_broken"]))
+        self.assertIn(f"those of no scenario: {clock} is 100000000, every scenario needs at least 450000000; 'slow'", str(report["claims"]["broken"]))
 
     def test_a_wrong_assumption_after_another_one_is_said_too_and_one_that_comes_anew(self):
         """The GPU falls below every scenario and recovers, then the DLA does, then the GPU once more."""
@@ -268,7 +268,7 @@ class Tables(unittest.TestCase):
         at = self.released()
         wait_for("releases that get a scenario", lambda: self.released() > at + 2, self.tool)
         report = self.end()
-        broken = str(report["worst_case_broken"])
+        broken = str(report["claims"]["broken"])
         for name in said():
             self.assertIn(f"outside of every scenario: XNode '{name}'", broken)
         self.assertGreaterEqual(sum(s["why"] == "outside" for s in report["switches"]), 3, report["switches"])

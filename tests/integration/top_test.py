@@ -82,7 +82,10 @@ class Top(unittest.TestCase):
             self.assertLessEqual(before["results"], chain["deadline_misses"])
             self.assertLessEqual(chain["deadline_misses"], report["activations"] + report["lost_activations"])
             self.assertLessEqual(chain["p50_us"], of_run["latency_us"]["max"] * 65 / 64 + 1)
-            self.assertLessEqual(chain["p50_us"], chain["p99_us"])
+            if chain["results"] - before["results"] >= 100:
+                self.assertLessEqual(chain["p50_us"], chain["p99_us"])
+            else:
+                self.assertIsNone(chain["p99_us"])
             self.assertGreater(chain["age_us"], 0)
         failed = {m["name"]: m["failed"] for m in second["modules"]}
         self.assertEqual(failed, {"A": 1, "B": 0, "C": 0, "D": 0})

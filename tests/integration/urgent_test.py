@@ -83,10 +83,10 @@ class Urgent(unittest.TestCase):
         self.assertGreater(camera["latency_us"]["p99"], 8000)
         self.assertLess(camera["urgent_us"]["p50"], 8000)
         self.assertLess(camera["urgent_us"]["p50"], camera["latency_us"]["p99"])
-        if run["worst_case_exceeded"]:
-            self.assertTrue(run["worst_case_broken"], "exceeded, and nothing was seen to be broken")
+        if run["claims"]["exceeded"]:
+            self.assertTrue(run["claims"]["broken"], "exceeded, and nothing was seen to be broken")
         # After a stall a message may be the release after its own: then two that are urgent are too near.
-        broken = run["worst_case_broken"] or []
+        broken = run["claims"]["broken"] or []
         if any("too soon" in line for line in broken):
             self.assertTrue([line for line in broken if "off its grid" in line or "left out" in line], broken)
 
@@ -102,8 +102,8 @@ class Urgent(unittest.TestCase):
     def test_what_is_urgent_too_soon_is_an_ordinary_release(self):
         done, run = self.run_app(1, "--seconds", 2)
         self.assertEqual(done.returncode, 0, done.stderr)
-        broken = [line for line in run["worst_case_broken"] if "too soon" in line]
-        self.assertEqual(len(broken), 1, run["worst_case_broken"])
+        broken = [line for line in run["claims"]["broken"] if "too soon" in line]
+        self.assertEqual(len(broken), 1, run["claims"]["broken"])
         self.assertIn("source 'camera' marked", broken[0])
         camera = run["chains"][0]
         self.assertLessEqual(camera["urgent_results"], camera["results"] / 2 + 1)

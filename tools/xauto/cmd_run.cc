@@ -17,7 +17,6 @@
 #include "xauto/report.h"
 #include "xauto/run_app.h"
 #include "xauto/tables.h"
-#include "xauto/worst_case.h"
 
 namespace xauto::cli {
 namespace {
@@ -76,7 +75,7 @@ Status check_platform(const OneRunFlags& flags, const std::string& made_for) {
 /// A policy that was edited is worth a run; its worst cases are not.
 void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
   if (run.scheduling != runtime::Scheduling::kXAuto) return;
-  if (claims_nothing(run)) return;
+  if (run.uncertified()) return;
   run.untrue = refused_by_check(flags, run);
   if (!run.untrue.empty())
     log::warn(

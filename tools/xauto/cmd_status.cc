@@ -87,7 +87,7 @@ int status(const Options& options) {
   const std::vector<Unseen> unseen = coordinators_but(answered);
   std::map<std::string, Counts> looks;  // of runs that claim something
   for (const Watched& watched : introduced(runs))
-    if (Counts counts = counts_of(*watched.board); counts.claims.claimed || counts.scenario)
+    if (Counts counts = counts_of(*watched.board); counts.account.claims() || counts.scenario)
       looks.emplace(watched.run, std::move(counts));
   if (options.json) {
     Json list = Json::array();
@@ -105,7 +105,7 @@ int status(const Options& options) {
     if (!users.elements().empty()) all["users"] = std::move(users);
     for (const auto& [run, counts] : looks) {
       if (counts.scenario) all["scenario"][(prefix + run).c_str()] = scenario_json(counts);
-      if (!counts.claims.claimed) continue;
+      if (!counts.account.claims()) continue;
       Json chains = Json::array();
       const auto measured = [](std::int64_t us) { return us < 0 ? Json() : Json(us); };
       for (const FlowCounts& chain : counts.chains) {
@@ -120,9 +120,9 @@ int status(const Options& options) {
           chains.elements().back()["urgent"] = {{"longest_us", measured(chain.longest_urgent_us)},
                                                 {"worst_case_us", chain.urgent_worst_case_us}};
       }
-      all["claims"][(prefix + run).c_str()] = {{"exceeded", counts.claims.exceeded},
-                                               {"broken", counts.claims.broken},
-                                               {"chains", std::move(chains)}};
+      Json claims = runtime::claims_json(counts.account);
+      claims["chains"] = std::move(chains);
+      all["claims"][(prefix + run).c_str()] = std::move(claims);
     }
     if (!unseen.empty()) all["unseen"] = list;
     std::cout << all.dump(2) << "\n";

@@ -21,7 +21,6 @@
 #include "xauto/counts.h"
 #include "xauto/live.h"
 #include "xauto/run_app.h"
-#include "xauto/worst_case.h"
 
 namespace xauto::cli {
 namespace {
@@ -154,10 +153,10 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
                            {"max_us", measured(n.max_us)},
                            {"age_us", chain.gone ? Json() : measured(n.age_us)},
                            {"off", chain.gone},
-                           {"results", chain.results},
+                           {"results", chain.results()},
                            {"lost", chain.lost},
-                           {"deadline_misses", chain.late},
-                           {"age_misses", chain.old},
+                           {"deadline_misses", chain.deadline_misses},
+                           {"age_misses", chain.age_misses},
                            {"last_us", measured(chain.last_us)},
                            {"longest_us", measured(chain.longest_us)}});
     if (chain.worst_case_us == 0) continue;
@@ -168,8 +167,7 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
       shown["urgent"] = {{"longest_us", measured(chain.longest_urgent_us)},
                          {"worst_case_us", chain.urgent_worst_case_us}};
   }
-  if (c.claims.claimed)
-    j["claims"] = {{"exceeded", c.claims.exceeded}, {"broken", c.claims.broken}};
+  j["claims"] = runtime::claims_json(c.account);
   if (c.scenario) j["scenario"] = scenario_json(c);
   j["modules"] = Json::array();
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
@@ -268,9 +266,10 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
   for (std::size_t i = 0; i < c.chains.size(); ++i) {
     const FlowCounts& chain = c.chains[i];
     const FlowNumbers n = numbers_of(chain, b.chains[i], c.at_ns, b.at_ns);
-    out += fmt::format("  {:<28}{:>9.1f}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>6}\n", chain.name,
-                       n.rate_hz, ms(n.p50_us), ms(n.p99_us), ms(n.max_us),
-                       chain.gone ? "off" : ms(n.age_us), chain.lost, chain.late, chain.old);
+    out +=
+        fmt::format("  {:<28}{:>9.1f}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>6}\n", chain.name, n.rate_hz,
+                    ms(n.p50_us), ms(n.p99_us), ms(n.max_us), chain.gone ? "off" : ms(n.age_us),
+                    chain.lost, chain.deadline_misses, chain.age_misses);
   }
   out += claims_text(c);
   out += scenario_text(c);

@@ -10,6 +10,7 @@
 
 #include "model/json_value.h"
 #include "processes/board.h"
+#include "session/account.h"
 
 namespace xauto::cli {
 
@@ -21,47 +22,18 @@ struct ModuleCounts {
   std::uint64_t skipped = 0;  ///< as it was told, or a module before it
 };
 
-/// A chain, or the app as a whole.
-struct FlowCounts {
-  std::string name;
-  std::uint64_t results = 0, lost = 0, late = 0, old = 0;
-  std::int64_t last_origin_ns = 0, max_age_us = 0;
-  std::vector<std::uint64_t> latency_us;                          ///< by Distribution's buckets
-  std::int64_t last_us = -1, longest_us = -1;                     ///< of the whole run; -1: none
-  std::uint64_t over = 0;                                         ///< results beyond allowed_us
-  std::int64_t sum_us = 0, last_ns = 0, in_time_ns = 0;           ///< as FlowLine's
-  std::int64_t period_us = 0, deadline_us = 0, age_limit_us = 0;  ///< what is stated; 0: nothing
-  std::int64_t limit_us = 0;  ///< what in_time_ns is about; 0: nothing
-  /// What the policy claims, and what is beyond that; 0: nothing. Of the whole app with tables: what
-  /// the scenario in force claims.
-  std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
-  std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
-  std::int64_t longest_urgent_us = -1;
+/// A chain, or the app as a whole; and what its last result was.
+struct FlowCounts : runtime::ChainAccount {
+  std::int64_t last_origin_ns = 0, oldest_us = 0;
+  std::int64_t last_us = -1;                 ///< -1: none
+  std::int64_t last_ns = 0, in_time_ns = 0;  ///< as FlowLine's
+  std::int64_t period_us = 0;                ///< what is stated; 0: nothing
+  std::int64_t allowed_us =
+      0;  ///< what the worst case and the emulator's part are together; 0: nothing is claimed
+  std::int64_t limit_us = 0;         ///< what in_time_ns is about; 0: nothing
   std::uint64_t off = 0;             ///< ModuleCounts::off of the chain's end
   bool gone = false;                 ///< the table that is in force does not have it
   std::int64_t gone_or_back_ns = 0;  ///< since then it is gone, or there again; 0: always there
-  [[nodiscard]] bool exceeds() const {
-    return (worst_case_us > 0 && over > 0) ||
-           (urgent_worst_case_us > 0 && longest_urgent_us > urgent_allowed_us);
-  }
-};
-
-/// An assumption of the policy's claims, or of what runs beside them, and how often it was not kept.
-struct Violation {
-  std::string kind;         ///< "wcet_overrun": a word for programs
-  std::uint64_t count = 0;  ///< since the run began
-  bool breaks = false;      ///< the claims of this policy are about runs without it
-};
-
-/// Whether what the policy claims holds so far.
-struct ClaimCounts {
-  bool claimed = false;               ///< it claims something
-  bool exceeded = false;              ///< some chain took longer
-  std::vector<std::string> broken;    ///< a line for each assumption that is broken
-  std::vector<Violation> violations;  ///< every kind, also those that did not happen
-  [[nodiscard]] bool stands() const { return claimed && broken.empty(); }
-  /// Nothing was broken, and nothing took longer.
-  [[nodiscard]] bool kept() const { return broken.empty() && !exceeded; }
 };
 
 struct XpuCounts {
@@ -90,14 +62,14 @@ struct Counts {
   std::vector<ModuleCounts> modules;
   FlowCounts whole;  ///< empty with several rates
   std::vector<FlowCounts> chains;
-  ClaimCounts claims;
+  runtime::Account account;  ///< its chains are those above, without when each told something last
   std::optional<ScenarioCounts> scenario;  ///< none: there is one policy
   std::vector<ScenarioCounts> scenarios;   ///< all of them
   std::optional<SpannedCounts> spanned;    ///< none: nothing met a change so far
   std::vector<XpuCounts> xpus;
   /// Releases are counted, by `whole`; as far as can be told before the first one.
   [[nodiscard]] bool single_rate() const {
-    return whole.results + whole.lost > 0 || whole.period_us > 0 || whole.deadline_us > 0 ||
+    return whole.results() + whole.lost > 0 || whole.period_us > 0 || whole.deadline_us > 0 ||
            whole.worst_case_us > 0;
   }
 };
@@ -126,9 +98,6 @@ struct FlowNumbers {
 /// `before` as of another run's beginning: default constructed counts.
 [[nodiscard]] FlowNumbers numbers_of(const FlowCounts& now, const FlowCounts& before,
                                      std::int64_t now_ns, std::int64_t before_ns);
-/// Smallest latency that a share `q` of the results does not exceed; -1 without results.
-[[nodiscard]] std::int64_t quantile_us(const std::vector<std::uint64_t>& buckets, double q);
-
 /// What the progress line says: "32.8/s, p50 12.41 ms"; several rates: of all chains together.
 [[nodiscard]] std::string progress_words(const Counts& now, const Counts& before);
 /// Releases that are over, of `activations`; below 0: cannot be told.

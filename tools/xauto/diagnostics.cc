@@ -45,24 +45,26 @@ std::string one_line(const std::vector<std::string>& lines) {
 }
 
 /// Whether something is claimed of this flow, in words.
-std::string claim_words(const FlowCounts& flow, const ClaimCounts& claims, bool tables) {
+std::string claim_words(const FlowCounts& flow, const runtime::Account& account, bool tables) {
   if (flow.worst_case_us == 0)
-    return tables           ? "of releases, see their status"
-           : claims.claimed ? "none of this; see the chains of app.json"
-                            : "none: no certified worst case";
-  if (claims.stands()) return "stands";
-  return "not claimed here: " + one_line(claims.broken);
+    return tables             ? "of releases, see their status"
+           : account.claims() ? "none of this; see the chains of app.json"
+                              : "none: no certified worst case";
+  if (account.stands()) return "stands";
+  return "not claimed here: " + one_line(account.broken());
 }
 
 /// `of_each`: what is claimed is of every result. With tables it is of those that met no change.
 Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCounts& before,
                    const RunLook& look, std::int64_t before_ns, bool of_each) {
-  const ClaimCounts& claims = look.counts.claims;
+  const runtime::Account& account = look.counts.account;
   const std::int64_t at_ns = look.counts.at_ns;
-  const bool claimed = now.worst_case_us > 0 && claims.stands();
+  const bool claimed = now.worst_case_us > 0 && account.stands();
   const bool has_deadline = now.deadline_us > 0;
-  const std::uint64_t late = grown(now.late, before.late), over = grown(now.over, before.over),
-                      lost = grown(now.lost, before.lost), old = grown(now.old, before.old);
+  const std::uint64_t late = grown(now.deadline_misses, before.deadline_misses),
+                      over = grown(now.over_claim, before.over_claim),
+                      lost = grown(now.lost, before.lost),
+                      old = grown(now.age_misses, before.age_misses);
   // What results are held against: a deadline, and without one what is claimed. Nothing else.
   const std::int64_t limit_us = has_deadline ? now.deadline_us : claimed ? now.allowed_us : 0;
 
@@ -72,7 +74,7 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
                                          millis(now.deadline_us)));
   if (old > 0)
     found.add(Level::kError,
-              fmt::format("{} results became older than {} ms", old, millis(now.age_limit_us)));
+              fmt::format("{} results became older than {} ms", old, millis(now.max_age_us)));
   if (claimed && over > 0)
     found.add(Level::kWarn, fmt::format("{} results longer than the certified worst case of {} ms",
                                         over, millis(now.worst_case_us)));
@@ -85,11 +87,11 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
   const std::int64_t most_us = limit_us > 0 && now.period_us > 0 ? 2 * now.period_us + limit_us : 0;
   const bool watched = limit_us > 0 && limit_us == now.limit_us;  // with tables deadlines alone
   // Nothing is late, and nothing comes.
-  const bool off = now.gone || (now.off > before.off && now.results == before.results);
+  const bool off = now.gone || (now.off > before.off && now.results() == before.results());
   if (off) {
     found.add(Level::kOk, now.gone ? "a module on its way is off in this table"
                                    : "its end is off in this table");
-  } else if (watched && now.results > 0) {
+  } else if (watched && now.results() > 0) {
     const bool in_time = now.in_time_ns == now.last_ns;
     const std::int64_t since_ns = std::max(now.in_time_ns, now.gone_or_back_ns);
     delay_us = in_time ? 0 : std::max<std::int64_t>(0, at_ns - since_ns) / 1000;
@@ -101,17 +103,17 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
       now.last_ns > 0
           ? std::max<std::int64_t>(0, at_ns - std::max(now.last_ns, now.gone_or_back_ns)) / 1000
           : -1;
-  if (!off && now.results == 0)
+  if (!off && now.results() == 0)
     found.add(Level::kStale, "no result yet");
   else if (!off && (most_us > 0         ? silent_us > most_us
                     : now.period_us > 0 ? silent_us > 2 * now.period_us + now.longest_us
-                                        : now.results == before.results))
+                                        : now.results() == before.results()))
     found.add(Level::kStale, fmt::format("no result for {} ms", millis(silent_us)));
   if (found.message.empty())
-    found.message = limit_us == 0     ? "there is nothing to hold results against"
-                    : claims.stands() ? "OK"
-                    : !claims.claimed ? "OK; no worst case is certified"
-                                      : "OK; the certified worst case is not claimed here";
+    found.message = limit_us == 0       ? "there is nothing to hold results against"
+                    : account.stands()  ? "OK"
+                    : !account.claims() ? "OK; no worst case is certified"
+                                        : "OK; the certified worst case is not claimed here";
 
   Diagnostic d{found.level, name, found.message, look.platform, {}};
   const auto say = [&](const char* key, std::string value) {
@@ -132,36 +134,36 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
                       ? signed_millis(now.worst_case_us - now.longest_us)
                       : kUnknown);
   say("deadline_ms", has_deadline ? millis(now.deadline_us) : kUnknown);
-  say("claim", claim_words(now, claims, !look.counts.scenarios.empty()));
+  say("claim", claim_words(now, account, !look.counts.scenarios.empty()));
   const FlowNumbers n = numbers_of(now, before, at_ns, before_ns);
   say("rate_hz", before_ns > 0 ? fmt::format("{:.3f}", n.rate_hz) : kUnknown);
-  say("results", std::to_string(now.results));
-  say("deadline_misses", std::to_string(now.late));
+  say("results", std::to_string(now.results()));
+  say("deadline_misses", std::to_string(now.deadline_misses));
   say("lost", std::to_string(now.lost));
-  if (now.worst_case_us > 0) say("over_worst_case", std::to_string(now.over));
-  if (now.age_limit_us > 0) say("age_misses", std::to_string(now.old));
+  if (now.worst_case_us > 0) say("over_worst_case", std::to_string(now.over_claim));
+  if (now.max_age_us > 0) say("age_misses", std::to_string(now.age_misses));
   return d;
 }
 
 /// What the certified worst cases take for granted.
 Diagnostic of_claims(const std::string& name, const RunLook& look, const Counts& before) {
-  const ClaimCounts& claims = look.counts.claims;
+  const runtime::Account& account = look.counts.account;
   Findings found;
-  if (!claims.claimed)
+  if (!account.claims())
     found.add(Level::kOk, "nothing is claimed of this run");
-  else if (!claims.stands())
+  else if (!account.stands())
     found.add(Level::kWarn,
-              "the certified worst cases are not claimed here: " + one_line(claims.broken));
-  else if (claims.exceeded)
+              "the certified worst cases are not claimed here: " + one_line(account.broken()));
+  else if (account.exceeded())
     found.add(Level::kError,
               "a certified worst case was exceeded, though nothing that is watched was broken");
   else
     found.add(Level::kOk, "the certified worst cases stand, as far as is watched");
   Diagnostic d{found.level, name, found.message, look.platform, {}};
-  d.values.emplace_back("claimed", word(claims.claimed));
-  d.values.emplace_back("stands", claims.claimed ? word(claims.stands()) : kUnknown);
-  d.values.emplace_back("exceeded", claims.claimed ? word(claims.exceeded) : kUnknown);
-  for (const Violation& v : claims.violations)
+  d.values.emplace_back("claimed", word(account.claims()));
+  d.values.emplace_back("stands", account.claims() ? word(account.stands()) : kUnknown);
+  d.values.emplace_back("exceeded", account.claims() ? word(account.exceeded()) : kUnknown);
+  for (const runtime::Assumption& v : account.assumptions)
     d.values.emplace_back(v.kind, std::to_string(v.count));
   if (const auto& scenario = look.counts.scenario) {
     d.values.emplace_back("scenario", scenario->name);

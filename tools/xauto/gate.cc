@@ -5,8 +5,6 @@
 
 #include <fmt/format.h>
 
-#include "xauto/worst_case.h"
-
 namespace xauto::cli {
 namespace {
 
@@ -18,7 +16,7 @@ bool asks(const RunFlags& flags, const std::string& word) {
 GateCount misses(const runtime::RunReport& report) {
   GateCount gate{"miss", 0, {}};
   std::string chains;
-  for (const runtime::RouteReport& route : report.routes) {
+  for (const runtime::ChainAccount& route : report.account.chains) {
     const std::uint64_t late = route.deadline_misses + route.age_misses;
     gate.count += late;
     if (late > 0)
@@ -27,16 +25,6 @@ GateCount misses(const runtime::RunReport& report) {
   gate.what =
       fmt::format("{} results missed their deadline, or became too old{}", gate.count, chains);
   return gate;
-}
-
-/// Worst cases that results took longer than, whatever else was broken.
-std::uint64_t exceeded(const RunFlags& flags, const PolicyRun& run) {
-  if (const auto of_tables = table_claims_of(flags, run)) return of_tables->exceeded.size();
-  if (const auto claims = key_claims_of(flags, run))
-    return static_cast<std::uint64_t>(
-        std::count_if(claims->chains.begin(), claims->chains.end(),
-                      [](const ChainClaimed& chain) { return chain.exceeded; }));
-  return 0;
 }
 
 }  // namespace
@@ -70,9 +58,11 @@ Status check_gate(const RunFlags& flags, const PolicyRun& run) {
                    [&](const auto& m) { return limited(m.second); }))
     return fail(ErrorCode::kInvalid, "no XNode has a limit past which it hangs", "--fail-on hang",
                 "give `hang_us` or `hang_pct` in the deployment");
-  if (asks(flags, "claim") && run.scheduling == runtime::Scheduling::kXAuto && claims_nothing(run))
-    return fail(ErrorCode::kInvalid, kClaimsNothing, "--fail-on claim",
-                "leave it out, or run a certified policy");
+  if (asks(flags, "claim") && run.scheduling == runtime::Scheduling::kXAuto && run.uncertified())
+    return fail(ErrorCode::kInvalid,
+                "nothing is claimed: the policy is not certified (`xauto solve` says what would "
+                "make it so)",
+                "--fail-on claim", "leave it out, or run a certified policy");
   const bool claimed = run.keys || run.tables;
   if (asks(flags, "claim") && (run.scheduling != runtime::Scheduling::kXAuto || !claimed))
     return fail(ErrorCode::kInvalid, "the run claims no worst case", "--fail-on claim",
@@ -94,7 +84,9 @@ std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run) {
       for (const runtime::XNodeReport& x : run.report.xnodes) gate.count += x.hangs;
       gate.what = fmt::format("{} jobs ran past their hang limit", gate.count);
     } else if (word == "claim") {
-      gate.count = exceeded(flags, run);
+      // Whatever else was broken.
+      gate.count = static_cast<std::uint64_t>(
+          std::ranges::count_if(run.report.account.chains, &runtime::ChainAccount::exceeded));
       gate.what = fmt::format("{} worst cases were exceeded", gate.count);
     } else {
       gate.count = run.outcome.deaths;

@@ -14,7 +14,6 @@
 #include "processes/parameters.h"
 
 #include "xauto/asking.h"
-#include "xauto/verdict.h"
 
 namespace xauto::cli {
 namespace {
@@ -166,8 +165,8 @@ std::map<std::string, Coordinated> ask_coordinators(const std::string& run) {
 }
 
 std::string claims_text(const Counts& counts) {
-  if (!counts.claims.claimed) return {};
-  const bool stands = counts.claims.kept();
+  if (!counts.account.claims()) return {};
+  const bool stands = counts.account.verdict() == runtime::Verdict::kKept;
   const auto in_ms = [](std::int64_t us) {
     return us < 0 ? std::string("-") : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
   };
@@ -185,8 +184,7 @@ std::string claims_text(const Counts& counts) {
                          in_ms(chain.longest_urgent_us), claim(chain.urgent_worst_case_us));
   }
   return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
-                           verdict(counts.claims.exceeded, counts.claims.broken,
-                                   {"what took time away from it is told when it ends"}));
+                           counts.account.verdict_words());
 }
 
 bool Live::goes_on() const {

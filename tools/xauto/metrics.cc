@@ -59,22 +59,23 @@ class Page {
                  const FlowCounts& flow) {
     Metric& metric = metric_of(name, "histogram", help);
     // A result may come between two reads of the board: the buckets are the count.
-    std::uint64_t total = 0, below = 0;
-    for (const std::uint64_t n : flow.latency_us) total += n;
-    std::size_t next = 0;
+    const std::map<std::uint32_t, std::uint64_t> buckets = flow.latency_us.buckets();
+    std::uint64_t below = 0;
+    auto next = buckets.begin();
     for (const std::int64_t bound_us : latency_bounds_us()) {
       // A time is kept in whole microseconds, rounded down: those below the bound are below it.
-      const std::size_t end = runtime::Distribution::bucket_of(bound_us - 1) + std::size_t{1};
-      for (; next < std::min(end, flow.latency_us.size()); ++next) below += flow.latency_us[next];
+      const std::uint32_t last = runtime::Distribution::bucket_of(bound_us - 1);
+      for (; next != buckets.end() && next->first <= last; ++next) below += next->second;
       Labels with = labels;
       with.emplace_back("le", seconds(bound_us));
       metric.lines += fmt::format("{}_bucket{} {}\n", name, in_braces(with), below);
     }
     Labels with = labels;
     with.emplace_back("le", "+Inf");
-    metric.lines +=
-        fmt::format("{}_bucket{} {}\n{}_sum{} {}\n{}_count{} {}\n", name, in_braces(with), total,
-                    name, in_braces(labels), seconds(flow.sum_us), name, in_braces(labels), total);
+    const std::uint64_t total = flow.results();
+    metric.lines += fmt::format("{}_bucket{} {}\n{}_sum{} {}\n{}_count{} {}\n", name,
+                                in_braces(with), total, name, in_braces(labels),
+                                seconds(flow.latency_us.sum()), name, in_braces(labels), total);
   }
   [[nodiscard]] std::string text() const {
     std::string out;
@@ -114,21 +115,21 @@ void add_flow(Page& page, const std::string& prefix, const Labels& labels, const
   measured("_last_latency_seconds", "Latency of the last result.", flow.last_us);
   measured("_longest_latency_seconds", "Longest latency since the run began.", flow.longest_us);
   page.counter(prefix + "_deadline_misses_total", "Results later than the deadline.", labels,
-               flow.late);
+               flow.deadline_misses);
   page.counter(prefix + "_lost_total", "Activations that failed or were dropped.", labels,
                flow.lost);
   if (flow.deadline_us > 0)
     page.gauge(prefix + "_deadline_seconds", "Deadline, as it is stated.", labels,
                seconds(flow.deadline_us));
-  if (flow.age_limit_us > 0) {
+  if (flow.max_age_us > 0) {
     page.gauge(prefix + "_age_limit_seconds", "Oldest age that is allowed, as it is stated.",
-               labels, seconds(flow.age_limit_us));
+               labels, seconds(flow.max_age_us));
     page.counter(prefix + "_age_misses_total", "Results that became older than allowed.", labels,
-                 flow.old);
+                 flow.age_misses);
   }
   if (flow.worst_case_us == 0) return;
   page.counter(prefix + "_over_worst_case_total",
-               "Results that took longer than what the policy claims.", labels, flow.over);
+               "Results that took longer than what the policy claims.", labels, flow.over_claim);
   if (!stands) return;
   page.gauge(prefix + "_worst_case_seconds",
              "Certified worst case; absent where nothing is claimed of this run.", labels,
@@ -194,15 +195,15 @@ void add_metrics_of(Page& page, const RunLook& look) {
   info.emplace_back("scheduling", look.scheduling);
   page.gauge("xauto_run_info", "A run that goes on.", info, "1");
   page.counter("xauto_releases_total", "Releases of the sensors.", of_run, counts.released);
-  const bool stands = counts.claims.stands();
-  if (counts.claims.claimed)
+  const bool stands = counts.account.stands();
+  if (counts.account.claims())
     page.gauge("xauto_claim_stands",
                "1: nothing that is watched breaks what the certified worst cases take for granted.",
                of_run, stands ? "1" : "0");
-  for (const Violation& violation : counts.claims.violations)
+  for (const runtime::Assumption& assumption : counts.account.assumptions)
     page.counter("xauto_assumption_violations_total",
                  "What certified worst cases take for granted and this run did not keep.",
-                 with("kind", violation.kind), violation.count);
+                 with("kind", assumption.kind), assumption.count);
   if (counts.single_rate())
     add_flow(page, "xauto_release", of_run, counts.whole, stands, counts.scenarios.empty());
   for (const FlowCounts& chain : counts.chains)

@@ -8,15 +8,16 @@
 #include <fmt/format.h>
 
 #include "base/log.h"
-#include "model/claims.h"
+#include "base/quantile.h"
 #include "model/json_value.h"
+#include "session/account.h"
+#include "session/changes.h"
 #include "story/html_report.h"
 #include "story/perfetto.h"
 #include "story/run_trace.h"
 #include "story/trace_reader.h"
 
 #include "xauto/gate.h"
-#include "xauto/worst_case.h"
 
 namespace xauto::cli {
 namespace {
@@ -26,11 +27,18 @@ Json or_null(std::int64_t us, std::size_t count) {
   return count == 0 ? Json() : us;
 }
 
+/// Of fewer results p99 would be the longest or the second longest.
+bool has_p99(const Latency& l) {
+  return l.count >= kLeastOfP99;
+}
+Json p99_of(const Latency& l) {
+  return has_p99(l) ? Json(l.p99_us) : Json();
+}
+
 Json quantiles_json(const runtime::Distribution& us) {
   const Latency l = summarise(us);
-  return {{"p50", or_null(l.p50_us, l.count)},
-          {"p99", or_null(l.p99_us, l.count)},
-          {"max", or_null(l.max_us, l.count)}};
+  return {
+      {"p50", or_null(l.p50_us, l.count)}, {"p99", p99_of(l)}, {"max", or_null(l.max_us, l.count)}};
 }
 
 /// "-" where nothing was measured.
@@ -38,90 +46,80 @@ std::string in_ms(std::int64_t us, std::size_t count) {
   return count == 0 ? "-" : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
 }
 
+std::string p99_ms(const Latency& l) {
+  return has_p99(l) ? in_ms(l.p99_us, l.count) : "-";
+}
+
 /// Late results of chains. Missing: nothing has a deadline.
 std::optional<std::uint64_t> deadline_misses(const PolicyRun& run) {
   std::optional<std::uint64_t> misses;
-  for (const runtime::RouteReport& r : run.report.routes)
-    if (r.deadline_us) misses = misses.value_or(0) + r.deadline_misses;
+  for (const runtime::ChainAccount& r : run.report.account.chains)
+    if (r.deadline_us > 0) misses = misses.value_or(0) + r.deadline_misses;
   return misses;
 }
 
-/// By tables the worst case of the row is the largest of all: which one was exceeded.
-std::string of_its_table(const runtime::RouteReport& r) {
-  return r.over_claim == 0
-             ? ""
-             : fmt::format(": {} of {}", in_ms(r.over_us, 1), in_ms(r.over_claimed_us, 1));
+/// "-" where nothing is claimed, or stated.
+std::string in_ms_if(std::int64_t us) {
+  return in_ms(us, us > 0 ? 1 : 0);
 }
 
-/// Chains, each beside what is claimed of it.
-std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
-  // Of tables there is no bound, and not always a worst case.
-  const auto claimed = [](std::int64_t us) { return us > 0 ? 1 : 0; };
-  const auto claims = key_claims_of(flags, run);
-  std::string out =
-      fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", run.name, "p50", "p99",
-                  "max", "worst case", "bound", "deadline", "missed", "n");
-  for (std::size_t i = 0; i < run.report.routes.size(); ++i) {
-    const runtime::RouteReport& r = run.report.routes[i];
-    const Latency l = summarise(r.latency_us);
-    const ChainClaim* claim =
-        claims && i < claims->chains.size() ? &claims->chains[i].claim : nullptr;
-    out += fmt::format(
-        "  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}{}\n", r.name, in_ms(l.p50_us, l.count),
-        in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
-        claim != nullptr ? in_ms(claim->worst_case_us, claimed(claim->worst_case_us)) : "-",
-        claim != nullptr ? in_ms(claim->lower_bound_us, claimed(claim->lower_bound_us)) : "-",
-        r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
-        r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count,
-        !claims || claim == nullptr                      ? ""
-        : claims->chains[i].exceeded                     ? "  exceeded" + of_its_table(r)
-        : !run.tables && l.max_us > claim->worst_case_us ? "  within the emulator's part"
-                                                         : "");
-    if (r.urgent_us.count() == 0) continue;
-    const Latency u = summarise(r.urgent_us);
+/// The columns that a chain has wherever it is told: what was measured, claimed and stated.
+std::string chain_row(const std::string& name, const runtime::ChainAccount& chain,
+                      const char* mark = "") {
+  const Latency l = summarise(chain.latency_us);
+  const std::string worst = in_ms_if(chain.worst_case_us);
+  return fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}", name,
+                     in_ms(l.p50_us, l.count), p99_ms(l), in_ms(l.max_us, l.count),
+                     chain.worst_case_us > 0 ? mark + worst : worst, in_ms_if(chain.lower_bound_us),
+                     chain.deadline_us > 0 ? in_ms(chain.deadline_us, 1) : "",
+                     chain.deadline_us > 0 ? std::to_string(chain.deadline_misses) : "", l.count);
+}
+
+std::string chain_head(const std::string& name) {
+  return fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", name, "p50", "p99",
+                     "max", "worst case", "bound", "deadline", "missed", "n");
+}
+
+/// Chains, each beside what is claimed of it, and what became of the claims.
+std::string chains_table(const PolicyRun& run) {
+  const runtime::Account& account = run.report.account;
+  std::string out = "\n" + chain_head(run.name);
+  for (const runtime::ChainAccount& chain : account.chains) {
+    out += chain_row(chain.name, chain);
+    // By tables the worst case of the row is the largest of all: which one was exceeded is told below.
+    if (chain.exceeded())
+      out += "  exceeded";
+    else if (!run.tables && chain.worst_case_us > 0 && chain.longest_us > chain.worst_case_us)
+      out += "  within the emulator's part";
+    out += "\n";
+    if (chain.urgent_us.count() == 0) continue;
+    const Latency u = summarise(chain.urgent_us);
     out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "  urgent",
-                       in_ms(u.p50_us, u.count), in_ms(u.p99_us, u.count), in_ms(u.max_us, u.count),
-                       claim != nullptr && claim->urgent_worst_case_us
-                           ? in_ms(*claim->urgent_worst_case_us, 1)
-                           : "-",
-                       "", "", "", u.count);
+                       in_ms(u.p50_us, u.count), p99_ms(u), in_ms(u.max_us, u.count),
+                       in_ms_if(chain.urgent_worst_case_us), "", "", "", u.count);
   }
-  if (claims) out += fmt::format("\n  {}: {}\n", run.name, to_string(*claims, Layout::kList));
-  if (claims_nothing(run)) out += fmt::format("\n  {}: {}\n", run.name, kClaimsNothing);
+  if (account.verdict() != runtime::Verdict::kNothingClaimed || !account.why_nothing.empty())
+    out += fmt::format("\n  {}: {}\n", run.name, account.words(runtime::Layout::kList));
   return out;
 }
 
 /// Of several runs: each chain under each policy.
 std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  std::string out;
   // A worst case that this run has refuted, or that it does not keep to, is marked.
-  const auto stands = [](const KeyClaims& c) { return c.broken.empty() && !c.exceeded; };
-  const auto row = [](const std::string& who, const Latency& l, const std::string& worst,
-                      const std::string& bound, const runtime::RouteReport& r) {
-    return fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", who,
-                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
-                       worst, bound, r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
-                       r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count);
+  const auto mark = [](const PolicyRun& run) {
+    return run.report.account.verdict() == runtime::Verdict::kKept ? "" : "*";
   };
-  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "chain", "p50", "p99",
-                     "max", "worst case", "bound", "deadline", "missed", "n");
+  std::string out = chain_head("chain");
   for (std::size_t c = 0; c < flags.app.chains.size(); ++c) {
     out += "  " + flags.app.chains[c].name + "\n";
-    for (const PolicyRun& run : runs) {
-      if (c >= run.report.routes.size()) continue;
-      const runtime::RouteReport& r = run.report.routes[c];
-      const auto claims = key_claims_of(flags, run);
-      const bool claimed = claims && c < claims->chains.size();
-      const std::string mark = claimed && !stands(*claims) ? "*" : "";
-      out += row("  " + run.name, summarise(r.latency_us),
-                 claimed ? mark + in_ms(claims->chains[c].claim.worst_case_us, 1) : "-",
-                 claimed ? in_ms(claims->chains[c].claim.lower_bound_us, 1) : "-", r);
-    }
+    for (const PolicyRun& run : runs)
+      if (c < run.report.account.chains.size())
+        out += chain_row("  " + run.name, run.report.account.chains[c], mark(run)) + "\n";
   }
   for (const PolicyRun& run : runs)
-    if (const auto claims = key_claims_of(flags, run))
-      out += fmt::format("\n  {}{}: {}\n", stands(*claims) ? "" : "* ", run.name,
-                         to_string(*claims, Layout::kList));
+    if (run.report.account.claims())
+      out += fmt::format("\n  {} {}: {}\n", mark(run), run.name,
+                         run.report.account.words(runtime::Layout::kList));
   out +=
       "\n  A chain's time is from a release to the end of the first job that knows it or a newer "
       "one.\n  One run each. Where \"-\" stands, nothing is claimed; * is told above.\n";
@@ -131,26 +129,28 @@ std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>&
 /// Chains and XNodes with limits. `who` begins each line: the policy, where there are several.
 std::string limits_table(const PolicyRun& run, const std::string& who) {
   std::string out;
-  if (std::any_of(run.report.routes.begin(), run.report.routes.end(),
-                  [](const runtime::RouteReport& r) { return r.max_age_us.has_value(); })) {
+  if (std::any_of(run.report.account.chains.begin(), run.report.account.chains.end(),
+                  [](const runtime::ChainAccount& r) { return r.max_age_us > 0; })) {
     out += fmt::format("\n  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n",
                        std::string(who.size(), ' '), "chain", "p50", "p99", "max", "deadline",
                        "age max", "missed", "old", "n");
-    for (const runtime::RouteReport& r : run.report.routes) {
+    for (const runtime::ChainAccount& r : run.report.account.chains) {
       const Latency l = summarise(r.latency_us);
       out += fmt::format("  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", who, r.name,
-                         in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count),
-                         in_ms(l.max_us, l.count), r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
+                         in_ms(l.p50_us, l.count), p99_ms(l), in_ms(l.max_us, l.count),
+                         r.deadline_us > 0 ? in_ms(r.deadline_us, 1) : "",
                          in_ms(r.age_us.max(), r.age_us.count()),
-                         r.deadline_us ? std::to_string(r.deadline_misses) : "",
-                         r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
+                         r.deadline_us > 0 ? std::to_string(r.deadline_misses) : "",
+                         r.max_age_us > 0 ? std::to_string(r.age_misses) : "", l.count);
     }
   }
   if (const runtime::EarlyStartReport& early = run.report.early_starts; early.jobs > 0)
     out += fmt::format("  {}{} jobs began before their planned start, together by {} ms\n", who,
                        early.jobs, in_ms(early.sum_us, 1));
-  for (const runtime::FailedPreemptionReport& f : run.report.failed_preemptions)
-    for (const std::string& text : runtime::words_of(f)) out += fmt::format("  {}{}\n", who, text);
+  // Told here as well where nothing is claimed.
+  for (const runtime::Assumption& one : run.report.account.assumptions)
+    if (one.kind == "failed_suspension" || one.kind == "failed_resumption")
+      for (const std::string& text : one.words) out += fmt::format("  {}{}\n", who, text);
   for (const runtime::XNodeReport& x : run.report.xnodes)
     if (x.overruns > 0 || x.hangs > 0)
       out += fmt::format(
@@ -206,7 +206,7 @@ const PolicyRun* ros2_of(const std::vector<PolicyRun>& runs) {
 
 /// Missing: one of the two was not measured.
 std::optional<double> ratio(const Latency& a, std::int64_t Latency::*of, const Latency& b) {
-  if (a.count == 0 || b.count == 0 || b.*of == 0) return std::nullopt;
+  if (!has_p99(a) || !has_p99(b) || b.*of == 0) return std::nullopt;
   return static_cast<double>(a.*of) / static_cast<double>(b.*of);
 }
 
@@ -331,7 +331,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     Json j = {{"policy", run.id},
               {"name", run.name},
               {"p50_us", or_null(run.latency.p50_us, n)},
-              {"p99_us", or_null(run.latency.p99_us, n)},
+              {"p99_us", p99_of(run.latency)},
               {"max_us", or_null(run.latency.max_us, n)},
               {"mean_us", or_null(run.latency.mean_us, n)},
               {"p10_us", or_null(run.latency.p10_us, n)},
@@ -355,12 +355,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       j["p99_speedup_over_ros2"] = times;
     }
     if (run.policy) {
-      if (const auto claims = key_claims_of(flags, run)) {
-        j["worst_case_of"] = claims->scope;
-        j["worst_case_exceeded"] = claims->exceeded;
-        j["worst_case_broken"] = claims->broken;
-      }
-      if (claims_nothing(run)) j["certified"] = false;
+      if (run.uncertified()) j["certified"] = false;
       Json placement = Json::object();
       for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
         placement[flags.app.xnodes[i].name] =
@@ -379,53 +374,25 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
         entry["p50_us"] = or_null(latency.p50_us, latency.count);
-        entry["p99_us"] = or_null(latency.p99_us, latency.count);
+        entry["p99_us"] = p99_of(latency);
         entry["max_us"] = or_null(latency.max_us, latency.count);
       }
       modules.push_back(std::move(entry));
     }
     j["modules"] = std::move(modules);
     Json chains = Json::array();
-    const auto claims = key_claims_of(flags, run);
-    std::size_t index = 0;
-    for (const runtime::RouteReport& r : run.report.routes) {
-      Json chain = {{"name", r.name},
-                    {"from", r.from},
-                    {"to", r.to},
-                    {"results", r.latency_us.count()},
-                    {"lost", r.lost},
-                    {"latency_us", quantiles_json(r.latency_us)},
-                    {"age_us", quantiles_json(r.age_us)}};
-      if (r.deadline_us) {
-        chain["deadline_us"] = *r.deadline_us;
-        chain["deadline_misses"] = r.deadline_misses;
-      }
-      if (r.max_age_us) {
-        chain["max_age_us"] = *r.max_age_us;
-        chain["age_misses"] = r.age_misses;
-      }
-      if (claims && index < claims->chains.size()) {
-        const ChainClaimed& claimed = claims->chains[index];
-        if (claimed.claim.worst_case_us > 0) chain["worst_case_us"] = claimed.claim.worst_case_us;
-        if (!run.tables) chain["lower_bound_us"] = claimed.claim.lower_bound_us;
-        chain["exceeded"] = claimed.exceeded;
-        if (run.tables) chain["longer_than_claimed"] = r.over_claim;
-        if (r.over_claim > 0)
-          chain["exceeded_by"] = {{"latency_us", r.over_us}, {"worst_case_us", r.over_claimed_us}};
-        if (claimed.claim.urgent_worst_case_us)
-          chain["urgent_worst_case_us"] = *claimed.claim.urgent_worst_case_us;
-      }
-      if (r.not_measured > 0) chain["not_measured"] = r.not_measured;
+    for (const runtime::ChainAccount& r : run.report.account.chains) {
+      Json chain = runtime::chain_json(r);
+      chain["age_us"] = quantiles_json(r.age_us);
       if (r.urgent_us.count() > 0) {
         chain["urgent_results"] = r.urgent_us.count();
         chain["urgent_us"] = quantiles_json(r.urgent_us);
       }
-      ++index;
       chains.push_back(std::move(chain));
     }
     j["chains"] = std::move(chains);
-    if (const auto of_tables = table_claims_of(flags, run))
-      runtime::add_tables(run.report, *of_tables, j);
+    j["claims"] = runtime::claims_json(run.report.account);
+    if (run.tables) runtime::add_changes(run.report, j);
     Json xnodes = Json::array();
     for (const runtime::XNodeReport& x : run.report.xnodes) {
       Json entry = {
@@ -453,23 +420,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                                   {"suspend_us", of.suspend_us},
                                   {"resume_us", of.resume_us},
                                   {"preempt_us", of.preempt_us}});
-    for (const runtime::FailedPreemptionReport& of : run.report.failed_preemptions)
-      j["failed_preemptions"].push_back({{"xnode", of.xnode},
-                                         {"xpu", of.xpu},
-                                         {"suspends", of.suspends},
-                                         {"resumes", of.resumes}});
-    if (const runtime::ContextReport& of = run.report.contexts; of.any())
-      j["contexts"] = {{"partial", of.partial},    {"unclaimed", of.unclaimed},
-                       {"assumed", of.assumed},    {"shared", of.shared},
-                       {"gated", of.gated},        {"held_up", of.held_up},
-                       {"misplaced", of.misplaced}};
     if (const runtime::EarlyStartReport& early = run.report.early_starts; early.on)
       j["early_starts"] = {{"jobs", early.jobs}, {"sum_us", early.sum_us}};
-    Json taken = Json::array();
-    for (const runtime::TakenReport& of : run.report.taken)
-      taken.push_back({{"what", of.what}, {"us", of.us}});
-    j["time_taken"] = std::move(taken);
-    if (!run.report.not_watched.empty()) j["not_watched"] = run.report.not_watched;
     Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);
@@ -500,7 +452,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (by_chains) break;
     const Latency& l = run.latency;
     out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>6}\n", run.name, in_ms(l.p50_us, l.count),
-                       in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count), l.count);
+                       p99_ms(l), in_ms(l.max_us, l.count), l.count);
   }
   if (runs.size() > 1 && !runs.front().report.several_rates) out += spread_of(runs);
   for (const PolicyRun& run : runs) {
@@ -518,7 +470,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
-    if (!by_chains) out += chains_table(flags, run);
+    if (!by_chains) out += chains_table(run);
     if (!flags.deployment_path.empty() || run.report.several_rates)
       out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");
     if (const auto misses = deadline_misses(run); misses.value_or(0) > 0)
@@ -540,29 +492,34 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 namespace {
 
 /// Of a run that is over; before, no chain has been counted.
-std::vector<story::ChainCounts> counts_of(const RunFlags& flags, const PolicyRun& run) {
-  const auto claims = key_claims_of(flags, run);
-  const auto claimed = [](std::int64_t us) { return us > 0 ? us : -1; };
+std::vector<story::ChainCounts> counts_of(const PolicyRun& run) {
+  const auto known = [](std::int64_t us) { return us > 0 ? us : -1; };
   std::vector<story::ChainCounts> list;
-  for (std::size_t i = 0; i < run.report.routes.size(); ++i) {
-    const runtime::RouteReport& r = run.report.routes[i];
+  for (const runtime::ChainAccount& r : run.report.account.chains) {
     const Latency l = summarise(r.latency_us);
     story::ChainCounts counts{r.name, static_cast<std::int64_t>(l.count)};
-    if (l.count > 0)
-      std::tie(counts.p50_us, counts.p99_us, counts.max_us) =
-          std::tie(l.p50_us, l.p99_us, l.max_us);
-    if (r.deadline_us) {
-      counts.deadline_us = *r.deadline_us;
+    if (l.count > 0) std::tie(counts.p50_us, counts.max_us) = std::tie(l.p50_us, l.max_us);
+    if (has_p99(l)) counts.p99_us = l.p99_us;
+    if (r.deadline_us > 0) {
+      counts.deadline_us = r.deadline_us;
       counts.misses = static_cast<std::int64_t>(r.deadline_misses);
     }
-    if (claims && i < claims->chains.size()) {
-      counts.worst_case_us = claimed(claims->chains[i].claim.worst_case_us);
-      counts.lower_bound_us = claimed(claims->chains[i].claim.lower_bound_us);
-      counts.exceeded = claims->chains[i].exceeded;
-    }
+    counts.worst_case_us = known(r.worst_case_us);
+    counts.lower_bound_us = known(r.lower_bound_us);
+    counts.exceeded = r.exceeded();
     list.push_back(std::move(counts));
   }
   return list;
+}
+
+/// What is claimed of chains; of tables the largest of all. Before the run is over, too.
+std::vector<ChainClaim> claims_of(const PolicyRun& run) {
+  if (run.keys) return run.keys->chains;
+  std::vector<ChainClaim> claims;
+  const std::vector<std::int64_t> largest_us = largest_claims(*run.tables);
+  for (std::size_t c = 0; c < largest_us.size(); ++c)
+    claims.push_back({run.tables->tables.front().keys.chains[c].name, largest_us[c], 0, false});
+  return claims;
 }
 
 Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
@@ -586,11 +543,11 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   // No window ends with a key that is no claim.
   if (run.keys && run.keys->certified && run.scheduling == runtime::Scheduling::kXAuto) {
     scene.keys = &*run.keys;
-    scene.claims = run.keys->chains;
+    scene.claims = claims_of(run);
   }
   if (run.tables) {
     scene.tables = &*run.tables;
-    scene.claims = claimed_chains(run);
+    scene.claims = claims_of(run);
     for (const runtime::ScenarioReport& s : run.report.scenarios)
       scene.scenarios.push_back({s.name, s.table, s.releases});
     for (const runtime::SwitchReport& s : run.report.switches)
@@ -598,7 +555,7 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
           {s.release, s.from, s.to, s.chain, s.spanned_us, s.worst_case_us.value_or(-1)});
   }
   scene.verdict = std::move(verdict);
-  scene.counts = counts_of(flags, run);
+  scene.counts = counts_of(run);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
 
@@ -606,13 +563,8 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.story) return tl::unexpected<Error>(run.story.error());
-  const auto claims = key_claims_of(flags, run);
-  const auto of_tables = table_claims_of(flags, run);
   return perfetto(flags, run, *run.story, modules_of(run.report),
-                  claims ? to_string(*claims, Layout::kList)
-                  : of_tables
-                      ? to_string(*of_tables, taken_from(run.report, kEmulatorUs), Layout::kList)
-                      : "nothing is claimed of this run");
+                  run.report.account.words(runtime::Layout::kList));
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
@@ -654,8 +606,9 @@ story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>&
     if (panels.empty()) {
       panels.push_back({page_id(run.id), run.name});
       if (run.latency.count > 0)
-        std::tie(panels.back().p50_us, panels.back().p99_us, panels.back().max_us) =
-            std::tie(run.latency.p50_us, run.latency.p99_us, run.latency.max_us);
+        std::tie(panels.back().p50_us, panels.back().max_us) =
+            std::tie(run.latency.p50_us, run.latency.max_us);
+      if (has_p99(run.latency)) panels.back().p99_us = run.latency.p99_us;
     }
     for (story::Panel& panel : panels) timeline.panels.push_back(std::move(panel));
   }

@@ -253,7 +253,10 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
                                 "; what is predicted knows nothing of it");
   progress.finish();
   XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
-  run.report.dead_daemons = run.outcome.dead_daemons;
+  runtime::Account& account = run.report.account;
+  account.add("daemon_death", run.outcome.dead_daemons.size(), run.outcome.dead_daemons);
+  if (!run.untrue.empty())
+    account.add("policy_refused", 1, "`xauto check` refuses the policy: " + run.untrue);
   runtime::Distribution latencies = run.report.latencies_us;
   if (run.report.several_rates)  // every sink's own latencies
     for (const runtime::ModuleReport& module : run.report.modules)

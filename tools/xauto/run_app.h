@@ -88,6 +88,8 @@ struct PolicyRun {
   void take(Policy made);
   /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
   std::optional<Tables> tables;
+  /// It goes by keys that are not certified: it is held against nothing, and says so.
+  [[nodiscard]] bool uncertified() const { return keys && !keys->certified; }
   std::string untrue;  ///< why `xauto check` refuses the policy here; empty: not known
   // Filled in by `execute`.
   runtime::RunReport report;

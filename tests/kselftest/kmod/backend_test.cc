@@ -4,6 +4,8 @@
 // xauto.ko tells the drivers or this process itself, the same must be so.
 #include "xpu/backend.h"
 
+#include <string>
+
 #include "raw.h"
 
 using xauto::SchedHandle;
@@ -55,9 +57,11 @@ int suspended_with(Backend& backend, const SchedHandle& handle) {
 }
 
 bool says(const xauto::ContextCounts& counts, const std::string& part) {
-  for (const std::string& line : counts.doubts(false))
-    if (guest::has(line, part)) return true;
-  return false;
+  bool said = false;
+  counts.each([&](const char*, std::uint32_t count, const char* what) {
+    said = said || (count > 0 && guest::has(std::to_string(count) + " " + what, part));
+  });
+  return said;
 }
 
 /// cudart's context, made by any library before `init`; and one that make_context() knows.

@@ -236,12 +236,12 @@ TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
   app.session.activations = 20;
   const auto report = app.run();
   ASSERT_TRUE(report) << report.error().to_string();
-  ASSERT_EQ(report->routes.size(), 2u);
-  EXPECT_EQ(report->routes[0].name, "camera -> C");
-  EXPECT_EQ(report->routes[1].name, "slow -> C");
+  ASSERT_EQ(report->account.chains.size(), 2u);
+  EXPECT_EQ(report->account.chains[0].name, "camera -> C");
+  EXPECT_EQ(report->account.chains[1].name, "slow -> C");
   const std::uint64_t results = report->modules[2].activations;
   EXPECT_GE(results, 1u);
-  for (const RouteReport& route : report->routes) {
+  for (const ChainAccount& route : report->account.chains) {
     EXPECT_EQ(route.latency_us.count(), results);
     EXPECT_EQ(route.age_us.count(), results - 1);
   }

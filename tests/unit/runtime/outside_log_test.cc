@@ -28,7 +28,8 @@ TEST(OutsideLog, EachIsSaidWhenItComesAndAgainWhenItComesAnew) {
   EXPECT_EQ(news.say, (Lines{"/clock", "on_gpu again"}));
   EXPECT_EQ(news.jobs, 1u);
   EXPECT_EQ(news.files, 1u);
-  EXPECT_EQ(log.all(), (Lines{"on_dla", "on_gpu, 2 times", "/clock, 2 times"}));
+  EXPECT_EQ(log.all(Kind::kJob), (Lines{"on_dla", "on_gpu, 2 times"}));
+  EXPECT_EQ(log.all(Kind::kFile), Lines{"/clock, 2 times"});
 }
 
 TEST(OutsideLog, WhatFluttersFillsNoLogAndIsCounted) {
@@ -51,7 +52,7 @@ TEST(OutsideLog, WhatFluttersFillsNoLogAndIsCounted) {
   EXPECT_EQ(log.look(1000, {kJobOnDla}).say, Lines{"on_dla"}) << "what is new is said all the same";
   flutter(OutsideLog::kAgainNs);
   EXPECT_EQ(said, 1u + 2 * OutsideLog::kAgain);
-  EXPECT_EQ(log.all(), (Lines{"on_dla", "/clock, 2000 times"}));
+  EXPECT_EQ(log.all(Kind::kFile), Lines{"/clock, 2000 times"});
 }
 
 }  // namespace

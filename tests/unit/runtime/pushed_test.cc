@@ -137,9 +137,10 @@ TEST(Pushed, WhoIsTooFastHurriesNobodyOnItsClock) {
   EXPECT_EQ(a.activations + a.dropped + too_late(*report),
             static_cast<std::uint64_t>(app.published));
   EXPECT_GT(a.activations, 60u);
-  EXPECT_GE(report->routes[0].latency_us.count(), a.activations);
+  EXPECT_GE(report->account.chains[0].latency_us.count(), a.activations);
   std::string broken;
-  for (const std::string& line : report->broken) broken += line + "\n";
+  for (const Assumption& one : report->account.assumptions)
+    for (const std::string& line : one.words) broken += line + "\n";
   EXPECT_NE(broken.find("source 'camera' was up to "), std::string::npos) << broken;
   EXPECT_NE(broken.find("came sooner than its period and jitter allow"), std::string::npos);
   EXPECT_NE(broken.find(" came in the time of "), std::string::npos) << broken;
@@ -180,12 +181,12 @@ TEST(Pushed, InLockstepPolledReleasesComeWhenTheyAreSaidTo) {
   EXPECT_GE(report->modules[0].activations, 1u);
   EXPECT_EQ(most.load(), 1) << "each release waits for the one before";
   for (const std::size_t chain : {0u, 1u}) {
-    const RouteReport& route = report->routes[chain];
+    const ChainAccount& route = report->account.chains[chain];
     EXPECT_EQ(route.latency_us.count(), report->modules[chain].activations);
     EXPECT_EQ(route.not_measured, 0u);
   }
   // The run waits 100 ms between two of them; that is nobody's latency. Of the fastest one, since a machine may stall.
-  const std::vector<std::int64_t> us = report->routes[1].latency_us.exact();
+  const std::vector<std::int64_t> us = report->account.chains[1].latency_us.exact();
   ASSERT_FALSE(us.empty());
   EXPECT_LT(*std::min_element(us.begin(), us.end()), 90'000);
 }

@@ -57,7 +57,7 @@ TEST(Routes, WithoutADeploymentEverySensorToEverySinkThatHearsOfIt) {
   const auto routes = Routes::make(make_graph(true), {}, {}, with_deadline(50));
   ASSERT_TRUE(routes);
   std::vector<std::string> names;
-  for (const RouteReport& r : routes->report({0, 0, 0})) {
+  for (const ChainAccount& r : routes->report({0, 0, 0})) {
     names.push_back(r.name);
     EXPECT_EQ(r.deadline_us, 50);
   }
@@ -75,7 +75,7 @@ TEST(Routes, CountsLatenciesAgesAndLostReleasesAgainstTheirLimits) {
   routes->published(0, 1'100'000, nullptr, 1'131'000);  // 31: late; the first became 131 old
   routes->published(0, 1'200'000, nullptr, 1'210'000);  // 10; the second became 110 old
   routes->published(1, 1, nullptr, 2);                  // of no chain
-  const RouteReport r = routes->report({4, 0, 0}).at(0);
+  const ChainAccount r = routes->report({4, 0, 0}).at(0);
   EXPECT_EQ(r.latency_us.exact(), (std::vector<std::int64_t>{20, 31, 10}));
   EXPECT_EQ(r.age_us.exact(), (std::vector<std::int64_t>{131, 110}));
   EXPECT_EQ(r.lost, 4u);
@@ -129,7 +129,7 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   result(1000, 1120);        // the first that is known: 120
   result(1000, 1150);        // knows nothing new
   result(1300, 1390, true);  // 1100, 1200 and 1300, which waited 290, 190 and 90
-  const RouteReport r = routes->report({0, 0, 0}).at(0);
+  const ChainAccount r = routes->report({0, 0, 0}).at(0);
   EXPECT_EQ(r.latency_us.exact(), (std::vector<std::int64_t>{120, 90, 190, 290}));
   EXPECT_EQ(r.deadline_misses, 1u) << "of those, one was later than 250";
   EXPECT_EQ(r.urgent_us.exact(), std::vector<std::int64_t>{90}) << "the release that was urgent";
@@ -162,24 +162,25 @@ TEST(Routes, WhatHasNoResultIsLostAndMissedOnceItsDeadlineHasPassed) {
   origins[0] = 1'600'000;
   routes->published(0, 1, &origins, 1'650'000);
   routes->published(2, 1, &origins, 1'650'000);
-  const Routes::Unended left{2'000'000, {3, 10, 2}, {1'900'000, 1'900'000}};
-  const auto reports = routes->report({0, 0, 1}, &left);
+  const Routes::Unended left{2'000'000, {3, 10, 2}};
+  const auto reports = routes->report({0, 0, 1}, &left, {1'900'000, 1'900'000});
   EXPECT_EQ(reports.at(0).lost, 3u);
   EXPECT_EQ(reports.at(0).deadline_misses, 5u)
       << "1000 to 1300 have a result, a late one; 1700 has none; 1800 and 1900 still had time";
   EXPECT_EQ(reports.at(1).lost, 10u);
   EXPECT_EQ(reports.at(1).deadline_misses, 8u) << "1000 to 1700: there was no result at all";
-  EXPECT_EQ(reports.at(2).lost, 3u);
+  EXPECT_EQ(reports.at(2).lost, 0u) << "its reader was released last at 1900: all had time";
   EXPECT_EQ(reports.at(2).deadline_misses, 0u) << "at 1900, when its reader was released last";
 }
 
 TEST(Routes, InAnAppOfOneRateWhatDidNotEndIsMissed) {
   auto routes = Routes::make(make_graph(true), {}, {}, with_deadline(50));
   ASSERT_TRUE(routes);
-  Routes::Unended left{2'000'000, {0, 4, 0}, {1'900'000, 1'900'000}};
-  EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 5u);
+  Routes::Unended left{2'000'000, {0, 4, 0}};
+  const std::vector<std::int64_t> newest_ns{1'900'000, 1'900'000};
+  EXPECT_EQ(routes->report({0, 1, 0}, &left, newest_ns).at(0).deadline_misses, 5u);
   left.at_ns = 1'940'000;  // nobody knows how many of them still had time
-  EXPECT_EQ(routes->report({0, 1, 0}, &left).at(0).deadline_misses, 1u);
+  EXPECT_EQ(routes->report({0, 1, 0}, &left, newest_ns).at(0).deadline_misses, 1u);
 }
 
 /// An app of two rates by hand: the lidar's period is 100 us, and "c" leads to Fuse, of its own component.
@@ -208,7 +209,7 @@ struct ByKeys {
     origins[0] = origin_us * 1000;
     routes->published(node, 1, &origins, at_us * 1000);
   }
-  [[nodiscard]] RouteReport report(std::size_t chain = 0) const {
+  [[nodiscard]] ChainAccount report(std::size_t chain = 0) const {
     return routes->report({0, 0, 0}).at(chain);
   }
   std::optional<Routes> routes;
@@ -297,7 +298,7 @@ TEST(Routes, InLockstepAnAppOfOneRateHasAges) {
     for (const std::size_t source : {0u, 1u}) routes->released(source, us * 1000);
     routes->published(1, us * 1000, nullptr, (us + 8) * 1000);
   }
-  const RouteReport r = routes->report({0, 0, 0}).at(0);
+  const ChainAccount r = routes->report({0, 0, 0}).at(0);
   EXPECT_EQ(r.latency_us.exact(), Times(3, 8));
   EXPECT_EQ(r.age_us.exact(), Times(2, 18));
 }
@@ -320,12 +321,31 @@ TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {
   EXPECT_EQ(reports.at(1).latency_us.exact(), (std::vector<std::int64_t>{60, 60, 60, 60, 60}));
 }
 
+/// Every release of a source of one rate ends once, as a result or as lost: what was dropped between two results the
+/// later one knows, and what came after the last one nobody does.
+TEST(Routes, ResultsAndLostAreTheReleases) {
+  auto routes = log_samples({{"to Fuse", 0, 0, 250}});
+  ASSERT_TRUE(routes);
+  for (std::int64_t us = 1000; us < 2000; us += 100) routes->released(0, us * 1000);
+  for (const std::int64_t us : {1100, 1600}) {
+    detail::Origins origins{};
+    origins[0] = us * 1000;
+    routes->published(0, 1, &origins, (us + 50) * 1000);
+  }
+  const ChainAccount chain = routes->report({8, 0, 0}, nullptr, {1'900'000, 9'000'000}).at(0);
+  EXPECT_EQ(chain.results(), 7u);
+  EXPECT_EQ(chain.lost, 3u) << "1700 to 1900: the camera went on";
+  EXPECT_EQ(chain.deadline_misses, 5u)
+      << "1200 and 1300, whose result came at 1650; and 1700 to 1900";
+}
+
 /// By tables a release is held against what is claimed of it, by when it was released.
 TEST(Routes, EachReleaseIsHeldAgainstItsOwnClaim) {
   Deployment d;
   d.chains = {{"x", "lidar", "Fuse", {}, {}}};
   auto routes = Routes::make(make_graph(true), {}, d, {});
   ASSERT_TRUE(routes);
+  routes->claims_may_change();
   const auto over = [&] {
     routes->judge();
     return routes->report({0, 0, 0}).at(0).over_claim;
@@ -356,7 +376,7 @@ TEST(Routes, EachReleaseIsHeldAgainstItsOwnClaim) {
   result(3100, 31);
   EXPECT_EQ(over(), 4u);
   const auto worst = [&] {
-    const RouteReport r = routes->report({0, 0, 0}).at(0);
+    const ChainAccount r = routes->report({0, 0, 0}).at(0);
     return std::pair(r.over_us, r.over_claimed_us);
   };
   EXPECT_EQ(worst(), std::pair(std::int64_t{11}, std::int64_t{10})) << "the first of equal ones";
@@ -433,7 +453,7 @@ TEST(Routes, WhatIsOffIsNeitherLateNorOld) {
   EXPECT_FALSE(result(2900, 3020)) << "had no such table";
   EXPECT_FALSE(result(3010, 3040));
   EXPECT_EQ(result(3100, 3160), 150) << "late, and what it replaces is old";
-  const RouteReport report = routes->report({0, 0, 0}).at(0);
+  const ChainAccount report = routes->report({0, 0, 0}).at(0);
   EXPECT_EQ(report.latency_us.exact(), (std::vector<std::int64_t>{20, 70, 30, 60}));
   EXPECT_EQ(report.deadline_misses, 2u);
 }

@@ -5,7 +5,6 @@
 
 #include "model/periodic.h"
 #include "session/run_report.h"
-#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -57,25 +56,6 @@ TEST(Session, KeysTravelAsKeys) {
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->keys, session.keys);
   EXPECT_EQ(read->policy, session.policy);
-}
-
-TEST(RunReport, WhatWasNotSuspendedTravels) {
-  RunReport report;
-  report.contexts = {1, 2, 3, 4, 5, 6};
-  report.failed_preemptions = {{"m.x", "gpu0", 7, 8}};
-  const auto read = parse_run_report(to_json(report));
-  ASSERT_TRUE(read) << read.error().to_string();
-  EXPECT_EQ(read->contexts.partial, 1u);
-  EXPECT_EQ(read->contexts.unclaimed, 2u);
-  EXPECT_EQ(read->contexts.assumed, 3u);
-  EXPECT_EQ(read->contexts.shared, 4u);
-  EXPECT_EQ(read->contexts.gated, 5u);
-  EXPECT_EQ(read->contexts.held_up, 6u);
-  ASSERT_EQ(read->failed_preemptions.size(), 1u);
-  EXPECT_EQ(read->failed_preemptions[0].xnode, "m.x");
-  EXPECT_EQ(read->failed_preemptions[0].xpu, "gpu0");
-  EXPECT_EQ(read->failed_preemptions[0].suspends, 7u);
-  EXPECT_EQ(read->failed_preemptions[0].resumes, 8u);
 }
 
 Session full() {
@@ -178,51 +158,29 @@ TEST(RunReport, EachFieldTravels) {
   report.releases = {{1, 2, 3}, {4, 5, -1}};
   report.num_releases = 2;
   for (std::int64_t i = 0; i < 70'000; ++i) report.latencies_us.add(i);
-  report.not_complete = "why";
   report.modules = {{"m", true, 1, 2, 3, 4, 6, report.latencies_us, 5}};
-  report.taken = {{"a child", 7}};
-  report.not_watched = "no /proc";
+  report.account.taken = {{"a child", 7}};
+  report.account.not_watched = "no /proc";
   report.xnodes = {{"m.x", 10, 20, 3, 2, 1, 30, 0, 0, 0, "m", 6, 7}};
-  report.routes.resize(2);
-  report.routes[0].deadline_us = 40;
-  report.routes[1].max_age_us = 50;
-  report.routes[1].urgent_us.add(6);
+  claim_on(report.account, Claimed::kOneAtATime);
+  report.account.chains.resize(2);
+  report.account.chains[0].deadline_us = 40;
+  report.account.chains[1].max_age_us = 50;
+  report.account.chains[1].urgent_us.add(6);
+  report.account.add("set_up", 2, std::vector<std::string>{"one", "two"});
   report.died = {"m", "m"};
-  report.unkept = {"one", "two"};
   report.several_rates = true;
   const auto read = parse_run_report(to_json(report));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(to_json(*read), to_json(report));
   EXPECT_EQ(read->latencies_us.quantile(0.9), report.latencies_us.quantile(0.9));
-  EXPECT_EQ(read->routes[0].deadline_us, 40);
-  EXPECT_FALSE(read->routes[0].max_age_us);
+  EXPECT_EQ(read->account.words(), report.account.words());
+  EXPECT_EQ(read->account.verdict(), Verdict::kNotClaimed);
   EXPECT_EQ(read->died, report.died);
   // A distribution that cannot be, inside of a module.
   const std::string text = to_json(report);
   EXPECT_EQ(parse_run_report(with(text, "max", "true")).error().what,
             "malformed answer of the app: latencies_us");
-}
-
-TEST(RunReport, WhatDidNotEndIsSaidInOneLineEach) {
-  RunReport report;
-  report.complete = true;
-  EXPECT_TRUE(words_of_unended(report).empty());
-  report.complete = false;
-  EXPECT_EQ(words_of_unended(report), std::vector<std::string>{"the run is not complete"});
-  report.not_complete = "4 of 9 activations of XModule 'm' did not end";
-  report.xnodes.resize(1);
-  report.xnodes[0].name = "m.x";
-  report.xnodes[0].module = "m";
-  report.xnodes[0].wcet_us = 18'602;
-  report.xnodes[0].unended = 2;
-  report.xnodes[0].unended_us = 9'123'456;
-  report.xnodes[0].hangs = 1;
-  EXPECT_EQ(words_of_unended(report),
-            (std::vector<std::string>{
-                "the run is not complete: 4 of 9 activations of XModule 'm' did not end",
-                "2 jobs of XNode 'm.x' of XModule 'm' have run for 9123.46 ms and have not ended; "
-                "its WCET is 18.60 ms",
-                "1 job of XNode 'm.x' of XModule 'm' ran past its hang limit"}));
 }
 
 TEST(RunReport, AnErrorTravels) {

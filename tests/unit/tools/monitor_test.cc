@@ -25,13 +25,19 @@ namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 
+runtime::Distribution results(std::uint64_t count) {
+  runtime::Distribution us;
+  for (std::uint64_t i = 0; i < count; ++i) us.add(40'125);
+  return us;
+}
+
 /// A chain every 100 ms that claims 50 ms and has a deadline of 80 ms; its last result came `ago_ms` ago.
 RunLook look(std::int64_t at_ns, std::int64_t ago_ms = 20) {
   RunLook look{"7-0", "car", "orin", "xauto", {}, {}};
   look.counts.at_ns = at_ns;
   FlowCounts chain;
   chain.name = "camera -> plan";
-  chain.results = static_cast<std::uint64_t>(at_ns / 100'000'000);
+  chain.latency_us = results(static_cast<std::uint64_t>(at_ns / 100'000'000));
   chain.period_us = 100'000;
   chain.worst_case_us = chain.allowed_us = 50'000;
   chain.deadline_us = chain.limit_us = 80'000;
@@ -39,7 +45,7 @@ RunLook look(std::int64_t at_ns, std::int64_t ago_ms = 20) {
   chain.longest_us = 48'000;
   chain.last_ns = chain.in_time_ns = at_ns - ago_ms * 1'000'000;
   look.counts.chains.push_back(chain);
-  look.counts.claims.claimed = true;
+  claim_on(look.counts.account, runtime::Claimed::kOfRates);
   return look;
 }
 
@@ -79,14 +85,14 @@ TEST(Diagnostics, AChainInTimeHasAutowaresKeysAndTheCertificatesNumbers) {
 TEST(Diagnostics, OneThatIsLongerThanCertifiedIsAWarningAndBeyondItsDeadlineAnError) {
   const RunLook before = look(10 * kSecond);
   RunLook now = look(11 * kSecond);
-  now.counts.chains[0].over = 1;
+  now.counts.chains[0].over_claim = 1;
   now.counts.chains[0].longest_us = 51'000;
   Diagnostic d = chain_of(now, &before);
   EXPECT_EQ(d.level, Level::kWarn);
   EXPECT_EQ(d.message, "1 results longer than the certified worst case of 50.000 ms");
   EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "False");
   EXPECT_EQ(value(d, "slack_ms"), "-1.000");
-  now.counts.chains[0].late = 2;
+  now.counts.chains[0].deadline_misses = 2;
   d = chain_of(now, &before);
   EXPECT_EQ(d.level, Level::kError);
   EXPECT_TRUE(d.message.starts_with("2 results later than the deadline of 80.000 ms"));
@@ -97,8 +103,8 @@ TEST(Diagnostics, OneThatIsLongerThanCertifiedIsAWarningAndBeyondItsDeadlineAnEr
   EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "False");
   // What was told once is over.
   RunLook later = look(12 * kSecond);
-  later.counts.chains[0].over = 1;
-  later.counts.chains[0].late = 2;
+  later.counts.chains[0].over_claim = 1;
+  later.counts.chains[0].deadline_misses = 2;
   EXPECT_EQ(chain_of(later, &now).level, Level::kOk);
 }
 
@@ -123,7 +129,7 @@ TEST(Diagnostics, WhoIsSilentIsStale) {
   EXPECT_EQ(d.level, Level::kStale);
   EXPECT_EQ(d.message, "no result for 281.000 ms");
   RunLook begins = look(11 * kSecond);
-  begins.counts.chains[0].results = 0;
+  begins.counts.chains[0].latency_us = {};
   begins.counts.chains[0].last_ns = begins.counts.chains[0].in_time_ns = 0;
   begins.counts.chains[0].last_us = begins.counts.chains[0].longest_us = -1;
   EXPECT_EQ(chain_of(begins, nullptr).level, Level::kStale);
@@ -149,8 +155,8 @@ TEST(Diagnostics, WhoHasNoLimitIsSilentAfterTwoPeriodsAndItsLongest) {
 TEST(Diagnostics, WhereNothingIsClaimedThereIsNoThreshold) {
   const RunLook before = look(10 * kSecond);
   RunLook now = look(11 * kSecond);
-  now.counts.claims.broken = {"3 activations were lost"};
-  now.counts.chains[0].over = 5;
+  now.counts.account.add("lost_activation", 3, "3 activations were lost");
+  now.counts.chains[0].over_claim = 5;
   Diagnostic d = chain_of(now, &before);  // the deadline still holds
   EXPECT_EQ(d.level, Level::kOk);
   EXPECT_EQ(d.message, "OK; the certified worst case is not claimed here");
@@ -176,9 +182,9 @@ TEST(Diagnostics, WhereNothingIsClaimedThereIsNoThreshold) {
 
 TEST(Diagnostics, WorstCasesThatAreExceededThoughNothingWasBrokenAreAnError) {
   RunLook now = look(11 * kSecond);
-  now.counts.claims.exceeded = true;
+  now.counts.account.change_exceeded = true;
   EXPECT_EQ(find(diagnostics_of(now, nullptr), "worst cases").level, Level::kError);
-  now.counts.claims.claimed = false;
+  now.counts.account.scope.clear();
   EXPECT_EQ(find(diagnostics_of(now, nullptr), "worst cases").level, Level::kOk);
 }
 
@@ -187,7 +193,7 @@ TEST(Diagnostics, AChainWhoseEndIsOffIsNeitherLateNorStale) {
   const auto chain_of = [&] {
     return find(diagnostics_of(now, &before), "chain " + now.counts.chains[0].name);
   };
-  now.counts.chains[0].results = before.counts.chains[0].results = 7;
+  now.counts.chains[0].latency_us = before.counts.chains[0].latency_us = results(7);
   now.counts.chains[0].last_ns = now.counts.chains[0].in_time_ns = 9 * kSecond;
   EXPECT_NE(chain_of().level, Level::kOk);
   now.counts.chains[0].off = 3;
@@ -207,7 +213,7 @@ TEST(Diagnostics, AChainThatATableDoesNotHaveIsNeitherLateNorStale) {
     return find(diagnostics_of(now, &before), "chain " + now.counts.chains[0].name);
   };
   FlowCounts& chain = now.counts.chains[0];
-  chain.results = before.counts.chains[0].results = 7;
+  chain.latency_us = before.counts.chains[0].latency_us = results(7);
   chain.last_ns = chain.in_time_ns = 9 * kSecond;
   chain.gone = true;
   chain.gone_or_back_ns = 10 * kSecond;
@@ -260,13 +266,10 @@ bool has(const std::string& text, const std::string& line) {
 TEST(Metrics, BoundsAreEndsOfTheBoardsBucketsSoEachCountIsExact) {
   RunLook now = look(kSecond);
   FlowCounts& chain = now.counts.chains[0];
+  chain.latency_us = {};
   // One result at each side of each bound.
   for (const std::int64_t bound : latency_bounds_us())
-    for (const std::int64_t us : {bound - 1, bound}) {
-      const std::uint32_t bucket = runtime::Distribution::bucket_of(us);
-      chain.latency_us.resize(std::max<std::size_t>(chain.latency_us.size(), bucket + 1));
-      ++chain.latency_us[bucket];
-    }
+    for (const std::int64_t us : {bound - 1, bound}) chain.latency_us.add(us);
   const std::string text = metrics_text({now});
   const std::string bucket = "\nxauto_chain_latency_seconds_bucket{";
   std::vector<std::pair<double, int>> seen;
@@ -297,13 +300,13 @@ TEST(Metrics, NamesAreEscapedAndTimesAreSecondsToTheMicrosecond) {
 TEST(Metrics, AWorstCaseThatIsNotClaimedIsAbsent) {
   RunLook now = look(kSecond);
   EXPECT_TRUE(has(metrics_text({now}), "xauto_claim_stands{app=\"car\",run=\"7-0\"} 1"));
-  now.counts.claims.broken = {"lost"};
+  now.counts.account.add("lost_activation", 1, "lost");
   std::string text = metrics_text({now});
   EXPECT_TRUE(has(text, "xauto_claim_stands{app=\"car\",run=\"7-0\"} 0"));
   EXPECT_EQ(text.find("worst_case_seconds"), std::string::npos);
   EXPECT_EQ(text.find("slack_seconds"), std::string::npos);
   EXPECT_NE(text.find("xauto_chain_deadline_seconds"), std::string::npos);
-  now.counts.claims.claimed = false;
+  now.counts.account.scope.clear();
   now.counts.chains[0].worst_case_us = 0;
   text = metrics_text({now});
   EXPECT_EQ(text.find("claim_stands"), std::string::npos);
@@ -437,59 +440,61 @@ TEST(MetricsServerOpen, SaysWhatIsWrongWithAnAddress) {
 }
 
 /// "kind count" of what breaks the claim.
-std::vector<std::string> breaking(const ClaimCounts& claims) {
+std::vector<std::string> breaking(const runtime::Account& account) {
   std::vector<std::string> kinds;
-  for (const Violation& v : claims.violations)
-    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
+  for (const runtime::Assumption& one : account.assumptions)
+    if (one.count > 0 && one.broken()) kinds.push_back(one.kind + " " + std::to_string(one.count));
   return kinds;
+}
+
+/// A run that claims something.
+std::shared_ptr<runtime::Board> claiming(const runtime::BoardShape& shape) {
+  const auto board = runtime::Board::local(shape);
+  board->header().claimed = static_cast<std::uint32_t>(runtime::Claimed::kOfRates);
+  return board;
 }
 
 /// As the report says it after the run. A budget is the deployment's wish: to pass it breaks no claim.
 TEST(Counts, AJobPastItsWcetBreaksTheClaimOfOnePolicyAndABudgetDoesNot) {
-  const auto board = runtime::Board::local({.nodes = 2});
-  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  const auto board = claiming({.nodes = 2});
   runtime::XNodeLine& line = board->xnode(1);
+  runtime::name_line(line.name, "m.x");
   line.jobs = 9;
   line.overruns = 4;
-  ASSERT_TRUE(counts_of(*board).claims.claimed);
-  EXPECT_TRUE(counts_of(*board).claims.stands());
+  ASSERT_TRUE(counts_of(*board).account.claims());
+  EXPECT_TRUE(counts_of(*board).account.stands());
   line.over_wcet = 2;
-  const ClaimCounts claims = counts_of(*board).claims;
-  EXPECT_EQ(claims.broken, std::vector<std::string>{"2 of 9 jobs outran their WCET"});
-  const auto count = [&](const std::string& kind) {
-    for (const Violation& v : claims.violations)
-      if (v.kind == kind) return static_cast<int>(v.count) * (v.breaks ? 1 : -1);
-    return 0;
-  };
-  EXPECT_EQ(count("wcet_overrun"), 2);
-  EXPECT_EQ(count("budget_overrun"), -4);
+  const runtime::Account account = counts_of(*board).account;
+  EXPECT_EQ(account.broken(),
+            std::vector<std::string>{"2 of 9 jobs outran their WCET, m.x by 0.000 ms"});
+  EXPECT_EQ(breaking(account), std::vector<std::string>{"wcet_overrun 2"});
+  EXPECT_EQ(account.count_of("budget_overrun"), 4u);
 }
 
 TEST(Counts, ReleasesThatMetBreakTheClaimsOfOneAtATime) {
-  const auto board = runtime::Board::local({.nodes = 1, .flows = 2});
-  board->flow(1).worst_case_us = board->flow(1).allowed_us = 50'000;  // a chain's, by keys
-  EXPECT_TRUE(counts_of(*board).claims.stands());
+  const auto board = claiming({.nodes = 1, .flows = 2});
+  EXPECT_TRUE(counts_of(*board).account.stands());
   board->count_release();
   board->count_release();
   board->header().overlapping = 1;  // counted where app.json has no rates
-  EXPECT_EQ(counts_of(*board).claims.broken,
+  EXPECT_EQ(counts_of(*board).account.broken(),
             std::vector<std::string>{"1 of 2 releases came while an earlier one was in flight"});
 }
 
 TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
-  const auto board = runtime::Board::local({.nodes = 1, .flows = 2, .scenarios = 1});
-  board->flow(1).worst_case_us = 50'000;
+  const auto board = claiming({.nodes = 1, .flows = 2, .scenarios = 1});
   board->xnode(0).jobs = 9;
-  ASSERT_TRUE(counts_of(*board).claims.claimed);
-  EXPECT_TRUE(counts_of(*board).claims.stands());
+  runtime::name_line(board->xnode(0).name, "m.x");
+  ASSERT_TRUE(counts_of(*board).account.claims());
+  EXPECT_TRUE(counts_of(*board).account.stands());
   board->xnode(0).over(2, 500'000);
-  EXPECT_EQ(counts_of(*board).claims.broken,
-            std::vector<std::string>{"2 of 9 jobs outran the WCET of their scenario"});
+  EXPECT_EQ(
+      counts_of(*board).account.broken(),
+      std::vector<std::string>{"2 of 9 jobs outran the WCET of their scenario, m.x by 0.500 ms"});
 }
 
 TEST(Counts, WhatMetAChangeIsShownBesideItsWorstCase) {
-  const auto board = runtime::Board::local({.flows = 2, .scenarios = 2});
-  board->flow(1).worst_case_us = 50'000;
+  const auto board = claiming({.flows = 2, .scenarios = 2});
   runtime::name_line(board->scenario(0).name, "fast");
   runtime::name_line(board->scenario(1).name, "slow");
   runtime::name_line(board->flow(1).name, "lane");
@@ -498,7 +503,7 @@ TEST(Counts, WhatMetAChangeIsShownBesideItsWorstCase) {
   EXPECT_EQ(spanned_json(counts_of(*board)).dump(), "null");
   board->header().spanned.take({0, 1, 1, 31'000, 60'000, 61'200});
   const Counts counts = counts_of(*board);
-  EXPECT_FALSE(counts.claims.exceeded);
+  EXPECT_FALSE(counts.account.exceeded());
   EXPECT_EQ(scenario_json(counts).at("spanned").dump(), spanned_json(counts).dump());
   EXPECT_EQ(spanned_json(counts).dump(),
             R"({"from":"fast","to":"slow","us":31000,"worst_case_us":60000,"chain":"lane"})");
@@ -508,7 +513,7 @@ TEST(Counts, WhatMetAChangeIsShownBesideItsWorstCase) {
             std::string::npos)
       << scenario_text(counts);
   board->header().spanned.take({1, 0, 1, 61'300, 60'000, 61'200});
-  EXPECT_TRUE(counts_of(*board).claims.exceeded);
+  EXPECT_TRUE(counts_of(*board).account.exceeded());
   EXPECT_EQ(
       spanned_text(counts_of(*board)),
       "  of what met a change the nearest to its worst case, a result of 'lane', took 61.30 ms "
@@ -518,8 +523,7 @@ TEST(Counts, WhatMetAChangeIsShownBesideItsWorstCase) {
 }
 
 TEST(Counts, WhatHasNotEndedBreaksTheClaim) {
-  const auto board = runtime::Board::local({.nodes = 1});
-  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  const auto board = claiming({.nodes = 1});
   runtime::XNodeLine& line = board->xnode(0);
   runtime::name_line(line.name, "m.x");
   runtime::name_line(line.module, "m");
@@ -527,61 +531,59 @@ TEST(Counts, WhatHasNotEndedBreaksTheClaim) {
   line.unended_ns = 9'123'456'789;
   line.unended_wcet_ns = 18'602'000;
   line.hangs = 2;
-  const ClaimCounts claims = counts_of(*board).claims;
-  EXPECT_FALSE(claims.stands());
-  EXPECT_EQ(claims.broken, (std::vector<std::string>{
-                               "XNode 'm.x' of XModule 'm' has run for 9123.46 ms and has not "
-                               "ended; its WCET is 18.60 ms",
-                               "2 jobs of XNode 'm.x' of XModule 'm' ran past their hang limit"}));
-  EXPECT_EQ(breaking(claims), (std::vector<std::string>{"wcet_overrun 1", "hang 2"}));
+  const runtime::Account account = counts_of(*board).account;
+  EXPECT_FALSE(account.stands());
+  EXPECT_EQ(
+      account.broken(),
+      (std::vector<std::string>{"XNode 'm.x' of XModule 'm' has run for 9123.46 ms and has not "
+                                "ended; its WCET is 18.60 ms",
+                                "2 jobs of XNode 'm.x' of XModule 'm' ran past their hang limit"}));
+  EXPECT_EQ(breaking(account), (std::vector<std::string>{"wcet_overrun 1", "hang 2"}));
 }
 
 TEST(Counts, WhatIsNotSuspendedOrNotResumedBreaksTheClaim) {
-  const auto board = runtime::Board::local({.nodes = 1, .xpus = 2});
-  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  const auto board = claiming({.nodes = 1, .xpus = 2});
   runtime::name_line(board->xpu(1).name, "gpu0");
   runtime::XNodeLine& line = board->xnode(0);
   runtime::name_line(line.name, "m.x");
-  EXPECT_TRUE(counts_of(*board).claims.stands());
+  EXPECT_TRUE(counts_of(*board).account.stands());
   line.failed_on = 1;
   line.failed_suspends = 25;
   line.failed_resumes = 1;
-  const ClaimCounts claims = counts_of(*board).claims;
-  EXPECT_EQ(claims.broken,
+  const runtime::Account account = counts_of(*board).account;
+  EXPECT_EQ(account.broken(),
             (std::vector<std::string>{
                 "preemption failed 25 times on gpu0: the work of XNode 'm.x' was not suspended",
                 "preemption failed 1 time on gpu0: the work of XNode 'm.x' was not resumed"}));
-  EXPECT_EQ(breaking(claims),
+  EXPECT_EQ(breaking(account),
             (std::vector<std::string>{"failed_suspension 25", "failed_resumption 1"}));
   line.failed_on = 7;  // whatever another program wrote there
-  EXPECT_EQ(counts_of(*board).claims.broken.size(), 2u);
+  EXPECT_EQ(counts_of(*board).account.broken().size(), 2u);
 }
 
 /// There its XPU counts as lost, and they say what is claimed then.
 TEST(Counts, AHangByTablesBreaksNothingByItself) {
-  const auto board = runtime::Board::local({.nodes = 1, .flows = 2, .scenarios = 1});
-  board->flow(1).worst_case_us = 50'000;
+  const auto board = claiming({.nodes = 1, .flows = 2, .scenarios = 1});
   board->xnode(0).hangs = 1;
-  EXPECT_TRUE(counts_of(*board).claims.stands());
+  EXPECT_TRUE(counts_of(*board).account.stands());
 }
 
 TEST(Counts, ADaemonThatDiedIsADeathAlsoIfItWasStartedAgain) {
-  const auto board = runtime::Board::local({.modules = 1});
-  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  const auto board = claiming({.modules = 1});
   board->module(0).deaths = 1;
   board->header().daemon_deaths = 2;
-  const ClaimCounts claims = counts_of(*board).claims;
-  EXPECT_EQ(claims.broken, std::vector<std::string>{"processes of the run died"});
-  const auto deaths = std::find_if(claims.violations.begin(), claims.violations.end(),
-                                   [](const Violation& v) { return v.kind == "process_death"; });
-  ASSERT_NE(deaths, claims.violations.end());
-  EXPECT_EQ(deaths->count, 3u);
+  const runtime::Account account = counts_of(*board).account;
+  EXPECT_EQ(account.broken(),
+            (std::vector<std::string>{"processes of the run died",
+                                      "coordinators of the run, or its emulator, died"}));
+  EXPECT_EQ(breaking(account), (std::vector<std::string>{"process_death 1", "daemon_death 2"}));
 }
 
 /// Nobody looks there: no number, instead of 0.
 TEST(Counts, WhereNothingIsClaimedWcetsAreNotCounted) {
   const auto board = runtime::Board::local({.nodes = 1});
-  for (const Violation& v : counts_of(*board).claims.violations) EXPECT_NE(v.kind, "wcet_overrun");
+  for (const runtime::Assumption& one : counts_of(*board).account.assumptions)
+    EXPECT_NE(one.kind, "wcet_overrun");
 }
 
 }  // namespace
