@@ -17,7 +17,7 @@ echo "demo: running the Driving Case under four policies, about a minute"
   --activations "${ACTIVATIONS:-220}" --out "$build"/demo -- "$build"/bin/driving
 echo
 echo "demo: the same at the rates of its sensors: cameras 30 Hz, LiDAR 10 Hz on its own clock, control 50 Hz"
-"$build"/bin/xauto compare --app examples/driving/rates.json --platform small --seconds "${SECONDS_RATES:-3}" \
+"$build"/bin/xauto compare --app examples/driving/rates.json --platform small --seconds "${SECONDS_RATES:-4}" \
   --time-limit-s 1 --out "$build"/demo/rates -- "$build"/bin/driving-rates
 echo
 echo "demo: the GPU at half of its clock after a second: one policy, then a policy for each scenario (docs/modes.md)"

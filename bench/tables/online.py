@@ -71,6 +71,7 @@ class Case:
         self.folder, self.options = pathlib.Path(folder), options
         self.app = json.loads((RATES if keys else APP).read_text())
         self.program = "/driving-rates" if keys else "/driving"
+        os.environ["DRIVING_TIMES"] = "worst"
         self.part, self.own_rates, self.own_clocks = part, keys, clocks
         if not clocks:
             for source in self.app.get("sources", []):

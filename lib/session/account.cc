@@ -114,8 +114,8 @@ std::string Account::words(Layout layout) const {
   for (const ChainAccount& chain : chains)
     if (chain.over_claim > 0 && ++number <= kShown)
       text += fmt::format(
-          "{}chain '{}': {} result{} longer than claimed, by most {:.2f} ms of {:.2f} ms", between,
-          chain.name, chain.over_claim, chain.over_claim == 1 ? "" : "s",
+          "{}chain '{}': {} result{} longer than claimed, the worst {:.2f} ms of {:.2f} ms",
+          between, chain.name, chain.over_claim, chain.over_claim == 1 ? "" : "s",
           static_cast<double>(chain.over_us) / 1000,
           static_cast<double>(chain.over_claimed_us) / 1000);
   if (number > kShown) text += fmt::format("{}{} chains more", between, number - kShown);
