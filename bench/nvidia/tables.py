@@ -132,7 +132,7 @@ class Run:
             self.report = json.loads((OUT / "out").read_text())["runs"][0]
 
     def mode(self, *words):
-        return json.loads(xauto("mode", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
+        return json.loads(xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
 
     def scenario(self):
         return self.mode()["now"]

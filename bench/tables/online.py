@@ -143,7 +143,7 @@ class Case:
         return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 50, "--once", "--json"))
 
     def mode(self, *words):
-        return json.loads(self.xauto("mode", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
+        return json.loads(self.xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
 
     def wait(self, probe, seconds=60):
         """How long it took; None: it did not come to that."""
@@ -412,7 +412,7 @@ def deaths(case, options):
                       name.startswith(("xauto-coordinat", "xauto-emud"))}
             pid = draw.choice(sorted(family))
             asked = draw.choice([n for n in names if n != asked])
-            wish = subprocess.Popen([options.bin + "/xauto", "mode", "--run", f"{case.tool.pid}-0", "--wait-s", "10", asked],
+            wish = subprocess.Popen([options.bin + "/xauto", "param", "scenario", "--run", f"{case.tool.pid}-0", "--wait-s", "10", asked],
                                     stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             time.sleep(draw.uniform(0.0, 0.12))  # a process needs some ms to say it; a drain lasts a release
             with contextlib.suppress(ProcessLookupError):

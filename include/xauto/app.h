@@ -138,7 +138,7 @@ class App {
   App& on_end(std::function<void()> callback);
 
   /// Of a run with tables (docs/modes.md): from the next release on at least what scenario `name` covers
-  /// counts; "": nobody asks any more. As `xauto mode` does. Threads: any, also a callback or an
+  /// counts; "": nobody asks any more. As `xauto param scenario` does. Threads: any, also a callback or an
   /// `exec`, in any process of the app. Errors: kNotFound: there is no such scenario; kUnavailable: no
   /// run goes on, or it has no tables.
   [[nodiscard]] Status request_mode(const std::string& name);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a run that goes on is asked to change, by `xauto param set` and `xauto mode`: a socket of the
+// Where a run that goes on is asked to change, by `xauto param`: a socket of the
 // run's tool, which alone writes the values of parameters (processes/parameters.h). One packet, one
 // answer. A client that says nothing is sent away; nobody waits for it.
 #pragma once

@@ -31,7 +31,7 @@ Result<Json> change_mode(const Json& asked, Board* board) {
 Status ask_for_scenario(Board& board, std::string_view name) {
   const std::uint32_t scenarios = board.shape().scenarios;
   if (scenarios == 0)
-    return fail(ErrorCode::kUnavailable, "the run has one policy, so there are no modes", {},
+    return fail(ErrorCode::kUnavailable, "the run has one policy, so there are no scenarios", {},
                 "start it with the tables of `xauto solve --scenarios`");
   if (name.empty()) {
     board.header().asked.store(0);
@@ -43,7 +43,7 @@ Status ask_for_scenario(Board& board, std::string_view name) {
       return {};
     }
   return fail(ErrorCode::kNotFound, "there is no scenario '" + std::string(name) + "'", {},
-              "`xauto mode` lists them");
+              "`xauto param` lists them");
 }
 
 std::string answer_request(std::string_view request, Board* board) {

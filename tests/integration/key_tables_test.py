@@ -70,7 +70,7 @@ class KeyTables(unittest.TestCase):
         top = lambda: json.loads(xauto("top", *run, "--interval-ms", 50, "--once").stdout or "{}")
         wait_for("releases", lambda: top().get("releases", 0) > 20, tool)
         for name in ["GPU at half", "CPUs slow", "nominal", "GPU at half", "nominal"]:
-            self.assertEqual(xauto("mode", *run, name).returncode, 0)
+            self.assertEqual(xauto("param", "scenario", *run, name).returncode, 0)
             at = top()["releases"]
             wait_for("releases after the wish", lambda: top().get("releases", 0) > at + 120, tool)
         self.live = top()["scenario"]

@@ -206,7 +206,7 @@ class Loss(ByTheMachine, unittest.TestCase):
             return json.loads(done.stdout)["releases"] if done.stdout else 0
         wait_for("releases", lambda: released() > 2, tool)
         for name in ["slower", "slowest", "nominal", "slowest", "slower", "slow", "slower"]:
-            self.assertEqual(xauto("mode", "--run", run, name).returncode, 0)
+            self.assertEqual(xauto("param", "scenario", "--run", run, name).returncode, 0)
             at = released()
             wait_for("a release after the wish", lambda: released() > at + 2, tool)
         tool.terminate()
@@ -308,7 +308,7 @@ class LossByKeys(ByTheMachine, unittest.TestCase):
         wait_for("releases", lambda: top().get("releases", 0) > 10, tool)
         asked = ["slower", "slowest", "nominal", "slowest", "slow", "slower"]
         for name in asked:
-            self.assertEqual(xauto("mode", *run, name).returncode, 0)
+            self.assertEqual(xauto("param", "scenario", *run, name).returncode, 0)
             at = top()["releases"]
             wait_for("releases after the wish", lambda: top().get("releases", 0) > at + 20, tool)
         tool.terminate()

@@ -251,7 +251,7 @@ class Prometheus(Monitored):
         tool = self.run_tool("--app", self.folder / "app.json", "--platform", "small", "--emulate", "--policy", self.folder / "tables.json",
                              program=[DRIVING])
         wait_for("releases", lambda: (value_of(self.metrics(tool), "xauto_releases_total") or 0) > 5, tool)
-        done = xauto("mode", "--run", f"{tool.pid}-0", "GPU at half")
+        done = xauto("param", "scenario", "--run", f"{tool.pid}-0", "GPU at half")
         self.assertEqual(done.returncode, 0, done.stderr)
         wait_for("the scenario", lambda: value_of(self.metrics(tool), "xauto_scenario_active", scenario="GPU at half") == 1, tool)
         seen = self.metrics(tool)

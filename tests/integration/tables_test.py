@@ -57,7 +57,7 @@ class Tables(unittest.TestCase):
         return tool
 
     def mode(self, *words, status=0):
-        done = xauto("mode", "--run", self.run_id, "--wait-s", 10, "--json", *words)
+        done = xauto("param", "scenario" if words else "list", "--run", self.run_id, "--wait-s", 10, "--json", *words)
         self.assertEqual(done.returncode, status, done.stderr)
         return json.loads(done.stdout) if status == 0 else done.stderr
 
@@ -129,7 +129,7 @@ class Tables(unittest.TestCase):
             self.assertIn(self.mode()["now"], covering[name])
         self.assertEqual(self.mode("--none")["was"], name)
         worst = self.worst_so_far()
-        for shown in (xauto("status").stdout, xauto("mode", "--run", self.run_id).stdout,
+        for shown in (xauto("status").stdout, xauto("param", "--run", self.run_id).stdout,
                       xauto("top", "--run", self.run_id, "--interval-ms", 50, "--once").stdout):
             self.assertRegex(shown, r"of what met a change the nearest to its worst case, a result of '[^']+', took [\d.]+ ms of \*?[\d.]+ ms")
         report = self.end()
@@ -179,7 +179,7 @@ class Tables(unittest.TestCase):
         return max(met, key=lambda s: s["spanned_us"] / s["worst_case_us"])
 
     def worst_so_far(self):
-        """As `mode`, `top` and `status` have it, which look one after the other; the last one."""
+        """As `param`, `top` and `status` have it, which look one after the other; the last one."""
         words = ("--run", self.run_id, "--json")
         seen = [self.mode()["spanned"], json.loads(xauto("top", *words, "--interval-ms", 50, "--once").stdout)["scenario"]["spanned"]]
         status = [s for run, s in json.loads(xauto("status", "--json").stdout)["scenario"].items() if run.endswith(self.run_id)]
@@ -287,8 +287,8 @@ class Tables(unittest.TestCase):
             self.addCleanup(lambda: (tool.kill(), tool.wait()))
             self.run_id = f"{tool.pid}-0"
             wait_for("the run", lambda: self.run_id in xauto("top", "--list").stdout, tool)
-            self.assertIn("has one policy, so there are no modes", self.mode(status=1))
-            self.assertIn("has one policy, so there are no modes", self.mode("x", status=1))
+            self.assertNotIn("scenarios", self.mode())
+            self.assertIn("has one policy, so there are no scenarios", self.mode("x", status=1))
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ class Throttle(unittest.TestCase):
         self.addCleanup(lambda: tool.stdout.close())
 
         def now():
-            done = xauto("mode", "--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
+            done = xauto("param", "--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
             self.assertEqual(done.returncode, 0, done.stderr + (self.folder / "err").read_text())
             return json.loads(done.stdout)["now"]
 

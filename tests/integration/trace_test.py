@@ -134,7 +134,7 @@ class Trace(unittest.TestCase):
         self.assertEqual(answers[0].stdout, answers[1].stdout)
 
     def test_tells_which_scenario_counts(self):
-        """... and what met a change, as `xauto mode` does: nothing changes in between."""
+        """... and what met a change, as `xauto param` does: nothing changes in between."""
         app = json.loads(pathlib.Path(APP).read_text())
         for xnode in app["xnodes"]:  # no job of this machine is too long
             xnode["wcet_us"] = {kind: 1000 * us for kind, us in xnode["wcet_us"].items()}
@@ -152,7 +152,7 @@ class Trace(unittest.TestCase):
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self.addCleanup(lambda: (run.kill(), run.wait()))
         words = ("--run", f"{run.pid}-0", "--wait-s", 10)
-        mode = lambda *more: json.loads(xauto("mode", *words, "--json", *more).stdout or "{}")
+        mode = lambda *more: json.loads(xauto("param", "scenario" if more else "list", *words, "--json", *more).stdout or "{}")
         wait_for("the run", lambda: any(s["releases"] > 1 for s in mode().get("scenarios", [])), run)
         mode("GPU slow")
         wait_for("the change", lambda: (mode().get("spanned") or {}).get("to") == "GPU slow", run)

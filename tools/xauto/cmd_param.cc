@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto param: the parameters of a run that goes on. They are read from its counts, as `xauto top`
-// does; to change one the run's tool is asked.
+// xauto param: the parameters and scenarios of a run that goes on. They are read from its counts, as
+// `xauto top` does; to change one the run's tool is asked.
 #include <atomic>
 #include <chrono>
 #include <iostream>
@@ -21,8 +21,9 @@ namespace {
 using runtime::PostedParameter;
 
 struct ParamFlags {
-  std::string action, run;
-  std::vector<std::string> words;  ///< module, then what of it
+  std::string action = "list", run;
+  std::vector<std::string> words;  ///< module, then what of it; or a scenario
+  bool none = false;
   int wait_s = 0;
 };
 
@@ -50,6 +51,43 @@ Json to_json(const ParameterValue& value) {
   return std::visit([](const auto& v) { return Json(v); }, value);
 }
 
+/// Of a run with tables; of another one nothing.
+void add_scenarios(const Watched& run, Json& all) {
+  const Counts counts = counts_of(*run.board);
+  if (!counts.scenario) return;
+  const ScenarioCounts& now = *counts.scenario;
+  all["now"] = now.name;
+  all["why"] = now.why;
+  all["asked"] = now.asked.empty() ? Json() : Json(now.asked);
+  all["switches"] = now.switches;
+  all["spanned"] = spanned_json(counts);
+  Json scenarios = Json::array();
+  for (std::uint32_t s = 0; s < run.board->shape().scenarios; ++s) {
+    const ScenarioCounts one = scenario_of(*run.board, s);
+    scenarios.push_back({{"name", one.name}, {"table", one.table}, {"releases", one.releases}});
+  }
+  all["scenarios"] = std::move(scenarios);
+}
+
+std::string scenarios_table(const Watched& run) {
+  const Counts counts = counts_of(*run.board);
+  if (!counts.scenario) return {};
+  const ScenarioCounts& now = *counts.scenario;
+  const std::uint32_t scenarios = run.board->shape().scenarios;
+  std::size_t width = 8;
+  for (std::uint32_t s = 0; s < scenarios; ++s)
+    width = std::max(width, scenario_of(*run.board, s).name.size());
+  std::string out =
+      fmt::format("\n    {:<{}}  {:<12}{:>10}\n", "scenario", width, "table", "releases");
+  for (std::uint32_t s = 0; s < scenarios; ++s) {
+    const ScenarioCounts one = scenario_of(*run.board, s);
+    out += fmt::format("  {} {:<{}}  {:<12}{:>10}{}\n", one.name == now.name ? "*" : " ", one.name,
+                       width, one.table, one.releases, one.name == now.asked ? "  asked for" : "");
+  }
+  if (counts.spanned) out += "\n" + spanned_text(counts);
+  return out;
+}
+
 Result<int> list(const ParamFlags& flags, const Options& options) {
   if (flags.words.size() > 1)
     return fail(ErrorCode::kInvalid, "'" + flags.words[1] + "' is one word too much",
@@ -71,13 +109,14 @@ Result<int> list(const ParamFlags& flags, const Options& options) {
                             {"default", to_json(p.spec.initial)},
                             {"changes", p.changes}});
     }
-    std::cout
-        << Json{{"run", run.run}, {"app", run.app}, {"parameters", std::move(parameters)}}.dump(2)
-        << "\n";
+    Json shown = {{"run", run.run}, {"app", run.app}, {"parameters", std::move(parameters)}};
+    if (flags.words.empty()) add_scenarios(run, shown);
+    std::cout << shown.dump(2) << "\n";
     return kDone;
   }
+  const std::string scenarios = flags.words.empty() ? scenarios_table(run) : "";
   if (all.empty()) {
-    std::cout << "no parameters\n";
+    std::cout << "no parameters\n" << scenarios;
     return kDone;
   }
   std::vector<std::vector<std::string>> rows = {
@@ -94,6 +133,7 @@ Result<int> list(const ParamFlags& flags, const Options& options) {
       line += i + 1 == row.size() ? row[i] : fmt::format("{:<{}}  ", row[i], width[i]);
     std::cout << line << "\n";
   }
+  std::cout << scenarios;
   return kDone;
 }
 
@@ -145,24 +185,47 @@ Result<int> set(const ParamFlags& flags, const Options& options) {
   return kDone;
 }
 
+Result<int> scenario(const ParamFlags& flags, const Options& options) {
+  if (flags.words.size() != (flags.none ? 0 : 1))
+    return fail(ErrorCode::kInvalid, "needs one scenario's name, or --none", "xauto param scenario",
+                "`xauto param` shows the scenarios");
+  XAUTO_ASSIGN(const Watched run, find_run(flags.run, flags.wait_s));
+  const std::string name = flags.none ? "" : flags.words.front();
+  XAUTO_ASSIGN(const Json was, ask_desk(run, Json{{"mode", name}}));
+  const std::string before = was.at("mode").text().value_or("");
+  if (options.json) {
+    std::cout << Json{{"was", before.empty() ? Json() : Json(before)}}.dump() << "\n";
+    return kDone;
+  }
+  const auto said = [](const std::string& one) { return one.empty() ? "none" : one; };
+  std::cout << "asked for: " << said(before) << " -> " << said(name) << "\n";
+  return kDone;
+}
+
 }  // namespace
 
 void add_param(Commands& commands) {
   auto flags = std::make_shared<ParamFlags>();
-  Verb verb =
-      commands.add("param", "Show and change the parameters of a run that goes on.",
-                   "xauto param list\n  xauto param get lanes threshold\n"
-                   "  xauto param set lanes threshold=0.7 mode=night",
-                   [flags](const Options& options) -> Result<int> {
-                     if (flags->action == "list") return list(*flags, options);
-                     return flags->action == "get" ? get(*flags, options) : set(*flags, options);
-                   });
-  verb.option("action", flags->action, "list, get or set")
-      .required()
-      .one_of({"list", "get", "set"});
-  verb.option(
-      "words", flags->words,
-      "list: [MODULE]; get: MODULE NAME; set: MODULE NAME=VALUE ..., which change together");
+  Verb verb = commands.add(
+      "param", "Show and change the parameters of a run that goes on, and its scenario.",
+      "xauto param\n  xauto param get lanes threshold\n"
+      "  xauto param set lanes threshold=0.7 mode=night\n"
+      "  xauto param scenario \"no DLA\"\n  xauto param scenario --none",
+      [flags](const Options& options) -> Result<int> {
+        if (flags->none && flags->action != "scenario")
+          return fail(ErrorCode::kInvalid, "is of `xauto param scenario` only", "--none",
+                      "xauto param scenario --none");
+        if (flags->action == "list") return list(*flags, options);
+        if (flags->action == "scenario") return scenario(*flags, options);
+        return flags->action == "get" ? get(*flags, options) : set(*flags, options);
+      });
+  verb.option("action", flags->action, "list, get, set or scenario; without it: list")
+      .one_of({"list", "get", "set", "scenario"});
+  verb.option("words", flags->words,
+              "list: [MODULE], without it scenarios, too; get: MODULE NAME; set: MODULE NAME=VALUE "
+              "..., which change together; scenario: NAME, of which from the next release on at "
+              "least what it covers counts");
+  verb.flag("--none", flags->none, "with scenario: nobody asks for one any more");
   verb.option("--run", flags->run, "which run, where several go on");
   verb.option("--wait-s", flags->wait_s, "wait so long for a run").not_negative().shown();
 }

@@ -109,7 +109,7 @@ int status(const Options& options) {
       Json chains = Json::array();
       const auto measured = [](std::int64_t us) { return us < 0 ? Json() : Json(us); };
       for (const FlowCounts& chain : counts.chains) {
-        if (chain.worst_case_us == 0) continue;  // with tables the scenarios claim: `xauto mode`
+        if (chain.worst_case_us == 0) continue;  // with tables the scenarios claim: `xauto param`
         chains.push_back({{"name", chain.name},
                           {"last_us", measured(chain.last_us)},
                           {"longest_us", measured(chain.longest_us)},

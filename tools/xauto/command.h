@@ -66,7 +66,6 @@ void add_doctor(Commands&);
 void add_explain(Commands&);
 void add_generate(Commands&);
 void add_graph(Commands&);
-void add_mode(Commands&);
 void add_monitor(Commands&);
 void add_param(Commands&);
 void add_profile(Commands&);

@@ -27,7 +27,6 @@ int main(int argc, char** argv) {
   xauto::cli::add_trace(commands);
   xauto::cli::add_top(commands);
   xauto::cli::add_monitor(commands);
-  xauto::cli::add_mode(commands);
   xauto::cli::add_param(commands);
   xauto::cli::add_record(commands);
   xauto::cli::add_completion(commands);
