@@ -16,7 +16,7 @@
 #include "base/rt.h"
 #include "graph/deployed.h"
 #include "graph/graph.h"
-#include "runtime/profiler.h"
+#include "profile/profiler.h"
 #include "session/session.h"
 
 #include "app/engine_run.h"

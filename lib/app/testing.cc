@@ -8,7 +8,7 @@
 #include "emu/client.h"
 #include "graph/app_spec.h"
 #include "graph/graph.h"
-#include "runtime/input_access.h"
+#include "graph/input_access.h"
 
 namespace xauto::testing {
 namespace {

@@ -107,7 +107,7 @@ class Probe {
 
   void realtime() {
     const std::string limit = "rtprio limit " + std::to_string(limits_.rtprio_limit);
-    constexpr int kEnough = 60;  // of the coordinators; lib/runtime/priorities.h
+    constexpr int kEnough = 60;  // of the coordinators; lib/model/fifo_range.h
     if (limits_.highest_fifo >= kEnough)
       add("realtime", Verdict::kOk, "SCHED_FIFO permitted", "CPU XNodes run by priority");
     else if (limits_.highest_fifo > 0)

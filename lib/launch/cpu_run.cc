@@ -129,7 +129,7 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
 }
 
 void decide_cpu_by_keys(runtime::Session& session) {
-  constexpr int kLevels = 6;  // lowered, admitted, asking, and those above: runtime/priorities.h
+  constexpr int kLevels = 6;  // lowered, admitted, asking, and those above: model/fifo_range.h
   session.cpu_by_keys = session.keys && session.scheduling == runtime::Scheduling::kXAuto &&
                         session.cpu_sched == runtime::CpuSched::kFifo &&
                         rt::highest_fifo() >= kLevels;

@@ -32,7 +32,7 @@ struct Outlier {
 /// repetition. Only of `profile --audit`.
 struct OtherXpu {
   std::int64_t busy_us = 0, idle_us = 0;
-  bool used = false;  ///< busier beside the XNode than without it; runtime/audit.h has the rule
+  bool used = false;  ///< busier beside the XNode than without it; profile/audit.h has the rule
   bool operator==(const OtherXpu&) const = default;
 };
 

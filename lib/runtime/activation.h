@@ -10,8 +10,8 @@
 #include <utility>
 #include <vector>
 
+#include "graph/input_access.h"
 #include "model/message.h"
-#include "runtime/input_access.h"
 
 namespace xauto::runtime {
 

@@ -11,8 +11,8 @@
 
 #include <xauto/result.h>
 
+#include "model/fifo_range.h"
 #include "runtime/context.h"
-#include "runtime/priorities.h"
 #include "runtime/watch.h"
 #include "runtime/worker.h"
 

@@ -27,7 +27,7 @@ enum class Mode : std::uint8_t {
   kDescribe,  ///< print the graph
   kProfile,   ///< time each XNode alone
   kRun,
-  kLoad,  ///< run the XNodes of one XPU again and again, for a profile of others (runtime/corun.h)
+  kLoad,  ///< run the XNodes of one XPU again and again, for a profile of others (profile/corun.h)
 };
 
 enum class Scheduling : std::uint8_t {
@@ -81,8 +81,8 @@ struct Session {
   std::int64_t margin_pct = 20;                ///< kProfile
   std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it
   std::uint64_t stable_rounds = 0;  ///< kProfile: further rounds of repetitions for wide spreads
-  bool contended = false;  ///< kProfile: also beside a load of each type of XPU (runtime/corun.h)
-  bool audit = false;      ///< kProfile: how busy other XPUs are meanwhile (runtime/audit.h)
+  bool contended = false;  ///< kProfile: also beside a load of each type of XPU (profile/corun.h)
+  bool audit = false;      ///< kProfile: how busy other XPUs are meanwhile (profile/audit.h)
   int load_xpu = -1;       ///< kLoad: which
   int load_fd = -1;        ///< kLoad: memfd with the LoadWords
   std::vector<int> load_cores;  ///< kLoad: where its threads may run

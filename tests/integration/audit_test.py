@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`xauto profile --audit`: a DLA stage that also uses the GPU is found, and whoever else uses the GPU is not taken for it.
-A false alarm has a chance of 1 in 10 000 in each of these profiles, by the rule itself (lib/runtime/audit.h)."""
+A false alarm has a chance of 1 in 10 000 in each of these profiles, by the rule itself (lib/profile/audit.h)."""
 import json
 import pathlib
 import tempfile

@@ -7,7 +7,7 @@
 #include <xauto/xauto.h>
 
 #include "graph/app_spec.h"
-#include "runtime/input_access.h"
+#include "graph/input_access.h"
 
 namespace xauto {
 namespace {

@@ -31,13 +31,14 @@ const std::map<std::string, Names>& allowed() {
       {"lib/session", {"model"}},
       {"lib/graph", {"model"}},
       {"lib/processes", {"model", "session", "graph", "transport"}},
+      {"lib/profile", {"model", "record", "xpu", "session", "graph", "processes"}},
       {"lib/runtime",
        {"model", "trace", "record", "coord", "transport", "xpu", "session", "graph", "processes",
         "uapi"}},
       {"lib/launch",
        {"model", "trace", "emu", "coord", "kernel", "xpu", "session", "processes", "transport",
         "uapi"}},
-      {"lib/app", {"model", "emu", "xpu", "session", "graph", "runtime", "launch"}},
+      {"lib/app", {"model", "emu", "xpu", "session", "graph", "profile", "runtime", "launch"}},
       {"lib/story", {"model", "trace", "solver", "uapi"}},
       {"solver", {"model"}},
       {"include/xauto", {}},
@@ -48,7 +49,7 @@ const std::map<std::string, Names>& allowed() {
 }
 
 const Names kParts = {"base",     "model",     "trace",   "record", "emu",  "coord",     "session",
-                      "graph",    "processes", "runtime", "launch", "xpu",  "transport", "kernel",
+                      "graph",    "processes", "profile", "runtime", "launch", "xpu",  "transport", "kernel",
                       "app",      "solver",    "story",   "xauto",  "uapi", "tools",     "bench",
                       "examples", "tests",     "lib",     "kmod",   "bpf",  "include"};
 
@@ -159,6 +160,8 @@ TEST(Layering, ArrowTurnedRoundIsSeen) {
   EXPECT_FALSE(may_include("examples", "model"));
   EXPECT_FALSE(may_include("include/xauto", "base"));
   EXPECT_FALSE(may_include("lib/runtime", "launch"));
+  EXPECT_FALSE(may_include("lib/runtime", "profile"));
+  EXPECT_FALSE(may_include("lib/profile", "runtime"));
   EXPECT_FALSE(may_include("lib/coord", "launch"));
   EXPECT_FALSE(may_include("lib/processes", "runtime"));
   EXPECT_TRUE(may_include("lib/runtime", "coord"));

@@ -11,8 +11,8 @@
 #include <gtest/gtest.h>
 
 #include "base/memory_file.h"
-#include "runtime/profiler.h"
 
+#include "fates.h"
 #include "test_app.h"
 
 namespace xauto::runtime {
@@ -319,35 +319,6 @@ TEST(Engine, APreemptiveXpuOfTheAppsOwnMustSayHow) {
   EXPECT_NE(report.error().hint.find("SchedHandle::custom"), std::string::npos);
 }
 
-/// What became of objects of a test's, in this order: made and gone, with the thread's name if it
-/// is not the same one.
-struct Fates {
-  std::mutex mutex;
-  std::vector<std::string> gone;
-  std::atomic<int> alive{0};
-
-  std::vector<std::string> sorted() {
-    std::vector<std::string> names = gone;
-    std::sort(names.begin(), names.end());
-    return names;
-  }
-};
-
-struct Object {
-  Object(std::string n, Fates& f)
-      : node(std::move(n)), fates(f), thread(std::this_thread::get_id()) {
-    ++fates.alive;
-  }
-  ~Object() {
-    --fates.alive;
-    const std::lock_guard lock(fates.mutex);
-    fates.gone.push_back(node + (thread == std::this_thread::get_id() ? "" : " elsewhere"));
-  }
-  std::string node;
-  Fates& fates;
-  std::thread::id thread;
-};
-
 std::function<std::shared_ptr<void>(const std::string&)> objects_with(Fates& fates) {
   return [&](const std::string& node) { return std::make_shared<Object>(node, fates); };
 }
@@ -445,30 +416,6 @@ TEST(Engine, NoSuspensionMeetsAnObjectThatIsGone) {
   EXPECT_EQ(calls_after.load(), 0);
   EXPECT_GT(calls.load(), 0);
   EXPECT_EQ(fates.sorted(), kAllGone);
-}
-
-TEST(Profile, AnObjectPerXpuInstanceIsMadeAndGoesOnTheThreadThatMeasures) {
-  Fates fates;
-  TestApp app;
-  std::atomic<int> most{0}, made{0};
-  app.object = [&](const std::string& node) {
-    auto object = std::make_shared<Object>(node, fates);
-    ++made;
-    most = std::max(most.load(), fates.alive.load());
-    return object;
-  };
-  app.session.mode = Mode::kProfile;
-  app.session.warmup = 1;
-  app.session.repetitions = 2;
-  const std::atomic<bool> stop{false};
-  const auto profiled = profile(app.spec, app.session, stop);
-  ASSERT_TRUE(profiled) << profiled.error().to_string();
-  EXPECT_EQ(app.foreign_objects.load(), 0);
-  EXPECT_EQ(made.load(), 8);  // four XNodes, each on two XPUs
-  EXPECT_EQ(most.load(), 4);  // the old one goes first: two might not fit into the memory
-  EXPECT_EQ(fates.alive.load(), 0);
-  EXPECT_EQ(fates.sorted(),
-            (std::vector<std::string>{"a1", "a1", "a2", "a2", "b1", "b1", "c1", "c1"}));
 }
 
 }  // namespace

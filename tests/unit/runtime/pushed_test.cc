@@ -8,7 +8,6 @@
 #include <gtest/gtest.h>
 
 #include "base/clock.h"
-#include "runtime/profiler.h"
 
 #include "test_app.h"
 
@@ -285,22 +284,6 @@ TEST(Pushed, OnStartThatThrowsEndsTheRun) {
   ASSERT_FALSE(report);
   EXPECT_EQ(report.error().what, "on_start threw: no camera");
   EXPECT_EQ(stops, 1);  // what had been started is stopped
-}
-
-TEST(Pushed, TheProfilerTakesWhatTheDriverPublishes) {
-  PushedApp app;
-  app.driver = [&] {
-    while (app.camera->publish(7)) std::this_thread::sleep_for(100us);
-  };
-  app.session.mode = Mode::kProfile;
-  app.session.warmup = 1;
-  app.session.repetitions = 3;
-  const std::atomic<bool> stop{false};
-  const auto profiled = profile(app.spec, app.session, stop);
-  ASSERT_TRUE(profiled) << profiled.error().to_string();
-  EXPECT_EQ(count(app.log(), "c1"), 2u * 4u);
-  // It is no grid that was measured.
-  EXPECT_NE(profiled->text.find("\"pushed\": true"), std::string::npos) << profiled->text;
 }
 
 }  // namespace

@@ -11,8 +11,8 @@
 #include <gtest/gtest.h>
 #include <uapi/xauto/event.h>
 
+#include "graph/input_access.h"
 #include "processes/board.h"
-#include "runtime/input_access.h"
 
 namespace xauto::runtime {
 namespace {

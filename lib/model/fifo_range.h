@@ -11,7 +11,7 @@
 
 #include "model/priority_plan.h"
 
-namespace xauto::runtime {
+namespace xauto {
 
 inline constexpr int kFifoHighest = 60;  ///< of coordinators; only the emulator would like more
 
@@ -35,4 +35,4 @@ struct FifoRange {
                                  const std::vector<int>& cpus) const;
 };
 
-}  // namespace xauto::runtime
+}  // namespace xauto

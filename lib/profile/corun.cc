@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "runtime/corun.h"
+#include "profile/corun.h"
 
 #include <algorithm>
 #include <cerrno>

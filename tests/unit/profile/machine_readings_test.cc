@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the profiler reads of the machine, in a folder that looks like one.
-#include "runtime/machine_readings.h"
+#include "profile/machine_readings.h"
 
 #include <filesystem>
 #include <fstream>

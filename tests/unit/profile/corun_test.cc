@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Loads beside a profiled XNode: whoever takes steps takes them while they are wanted and not after.
-#include "runtime/corun.h"
+#include "profile/corun.h"
 
 #include <thread>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The runtime's side of xauto::Input.
+// The other side of xauto::Input: of who hands it to an XNode.
 #pragma once
 
 #include <vector>

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "runtime/priorities.h"
+#include "model/fifo_range.h"
 
 #include <algorithm>
 #include <set>
 
-namespace xauto::runtime {
+namespace xauto {
 
 FifoRange FifoRange::within(int highest) {
   if (highest <= 0) return {0, 0, 0, 0, 0};
@@ -65,4 +65,4 @@ std::string FifoRange::note(int highest, const PriorityPlan& policy,
   return text;
 }
 
-}  // namespace xauto::runtime
+}  // namespace xauto

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "runtime/audit.h"
+#include "profile/audit.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "runtime/priorities.h"
+#include "model/fifo_range.h"
 
 #include <algorithm>
 
 #include <gtest/gtest.h>
 
-namespace xauto::runtime {
+namespace xauto {
 namespace {
 
 TEST(FifoRange, WithAllRightsIsTheDefault) {
@@ -90,4 +90,4 @@ TEST(FifoRange, SmallerRangeIsSaid) {
 }
 
 }  // namespace
-}  // namespace xauto::runtime
+}  // namespace xauto

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "runtime/machine_readings.h"
+#include "profile/machine_readings.h"
 
 #include <algorithm>
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // When an audit says that an XNode uses another XPU: the coin against Pascal's triangle, the rule
 // against loads that are drawn.
-#include "runtime/audit.h"
+#include "profile/audit.h"
 
 #include <cmath>
 #include <filesystem>

@@ -8,7 +8,7 @@
 // with --audit each exec is followed by as long a time in which nothing runs (audit.h). The thread
 // that asked for the profile watches: when it is told to stop, or when an exec takes too long, it
 // answers with what there is, and the other thread is left behind.
-#include "runtime/profiler.h"
+#include "profile/profiler.h"
 
 #include <algorithm>
 #include <chrono>
@@ -30,14 +30,14 @@
 #include "base/short_file.h"
 #include "base/thread.h"
 #include "graph/inlet.h"
+#include "graph/input_access.h"
+#include "model/fifo_range.h"
 #include "model/json.h"
 #include "processes/parameters.h"
-#include "runtime/audit.h"
-#include "runtime/corun.h"
-#include "runtime/input_access.h"
-#include "runtime/machine_readings.h"
-#include "runtime/priorities.h"
-#include "runtime/profile_input.h"
+#include "profile/audit.h"
+#include "profile/corun.h"
+#include "profile/machine_readings.h"
+#include "profile/profile_input.h"
 #include "xpu/backend.h"
 #include "xpu/presence.h"
 

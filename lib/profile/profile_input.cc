@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "runtime/profile_input.h"
+#include "profile/profile_input.h"
 
 #include <algorithm>
 #include <string>
