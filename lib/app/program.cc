@@ -16,10 +16,10 @@
 #include "base/rt.h"
 #include "graph/deployed.h"
 #include "graph/graph.h"
-#include "profile/profiler.h"
 #include "session/session.h"
 
 #include "app/engine_run.h"
+#include "profile/profiler.h"
 
 namespace xauto::app {
 namespace {

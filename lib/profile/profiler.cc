@@ -34,12 +34,13 @@
 #include "model/fifo_range.h"
 #include "model/json.h"
 #include "processes/parameters.h"
+#include "xpu/backend.h"
+#include "xpu/presence.h"
+
 #include "profile/audit.h"
 #include "profile/corun.h"
 #include "profile/machine_readings.h"
 #include "profile/profile_input.h"
-#include "xpu/backend.h"
-#include "xpu/presence.h"
 
 namespace xauto::runtime {
 namespace {

@@ -48,10 +48,10 @@ const std::map<std::string, Names>& allowed() {
   return table;
 }
 
-const Names kParts = {"base",     "model",     "trace",   "record", "emu",  "coord",     "session",
-                      "graph",    "processes", "profile", "runtime", "launch", "xpu",  "transport", "kernel",
-                      "app",      "solver",    "story",   "xauto",  "uapi", "tools",     "bench",
-                      "examples", "tests",     "lib",     "kmod",   "bpf",  "include"};
+const Names kParts = {"base",   "model",     "trace",   "record",  "emu",    "coord", "session",
+                      "graph",  "processes", "profile", "runtime", "launch", "xpu",   "transport",
+                      "kernel", "app",       "solver",  "story",   "xauto",  "uapi",  "tools",
+                      "bench",  "examples",  "tests",   "lib",     "kmod",   "bpf",   "include"};
 
 /// Foreign headers that take seconds to compile -> files that may include them.
 const std::map<std::string, Names>& expensive() {
