@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "base/check.h"
+#include "base/terminal.h"
 #include "base/utf8.h"
 #include "base/write_now.h"
 
@@ -82,13 +83,13 @@ FILE* stream() {
 
 spdlog::logger& logger() {
   static spdlog::logger* const instance = [] {
-    const bool terminal = isatty(STDERR_FILENO) == 1;
+    const bool terminal = can_draw(STDERR_FILENO);
     using Sink = spdlog::sinks::ansicolor_sink<spdlog::details::console_mutex>;
     auto* made = new spdlog::logger(
-        "xauto",
-        std::make_shared<Sink>(stream(), terminal && spdlog::details::os::is_color_terminal()
-                                             ? spdlog::color_mode::always
-                                             : spdlog::color_mode::never));
+        "xauto", std::make_shared<Sink>(
+                     stream(), can_colour(STDERR_FILENO) && spdlog::details::os::is_color_terminal()
+                                   ? spdlog::color_mode::always
+                                   : spdlog::color_mode::never));
     // On a terminal there may be a progress line, of this process or of the one that started it:
     // what is logged takes its place, and it comes again below.
     made->set_pattern(terminal ? "\r\033[Kxauto: %^%l%$: %v" : "xauto: %^%l%$: %v");

@@ -14,6 +14,7 @@
 
 #include <xauto/result.h>
 
+#include "base/terminal.h"
 #include "cli/cli.h"
 
 namespace xauto::cli {
@@ -87,7 +88,7 @@ class SearchLine {
   void end();
 
  private:
-  bool terminal_ = isatty(STDERR_FILENO) != 0, drawn_ = false;
+  bool terminal_ = can_draw(STDERR_FILENO), drawn_ = false;
   double next_s_ = 2;
 };
 

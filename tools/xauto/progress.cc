@@ -7,6 +7,7 @@
 
 #include "base/clock.h"
 #include "base/log.h"
+#include "base/terminal.h"
 
 #include "xauto/command.h"
 
@@ -39,7 +40,10 @@ void SearchLine::end() {
 }
 
 Progress::Progress(std::string label, double total)
-    : label_(std::move(label)), total_(total), started_ms_(now_ms()), terminal_(isatty(2) == 1) {}
+    : label_(std::move(label)),
+      total_(total),
+      started_ms_(now_ms()),
+      terminal_(can_draw(STDERR_FILENO)) {}
 
 Progress::~Progress() {
   finish();
