@@ -57,8 +57,8 @@ class Paths(unittest.TestCase):
     def setUp(self):
         self.paths = paths(PAGE.read_text())
 
-    def test_there_are_four_paths_who_waits_in_order_and_what_is_left_to_the_coordinator(self):
-        self.assertEqual(len(self.paths), 6)
+    def test_there_are_five_paths_who_waits_in_order_and_what_is_left_to_the_coordinator(self):
+        self.assertEqual(len(self.paths), 7)
         for path in self.paths:
             self.assertGreater(len(path), 5, path)
 
