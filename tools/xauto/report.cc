@@ -118,7 +118,7 @@ std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>&
   }
   for (const PolicyRun& run : runs)
     if (run.report.account.claims())
-      out += fmt::format("\n  {} {}: {}\n", mark(run), run.name,
+      out += fmt::format("\n  {}{}{}: {}\n", mark(run), *mark(run) == '\0' ? "" : " ", run.name,
                          run.report.account.words(runtime::Layout::kList));
   out +=
       "\n  A chain's time is from a release to the end of the first job that knows it or a newer "
