@@ -34,87 +34,94 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
   Routes routes;
   routes.single_rate_ = graph.single_rate;
   routes.ends_.resize(graph.nodes.size());
-  const auto end = [&](ChainAccount counts, std::size_t source, int node) {
-    Route route;
-    route.counts = std::move(counts);
-    route.module = graph.nodes[static_cast<std::size_t>(node)].module;
-    route.source = source;
-    if (grid.periodic) {
-      const int topic = graph.topic_of_source[source];
-      const int component = graph.modules[static_cast<std::size_t>(route.module)].component;
-      route.shift_ns = grid.sources[source].shift_ns;
-      route.period_ns = grid.sources[source].period_ns();
-      route.through_samples =
-          std::none_of(graph.modules.begin(), graph.modules.end(), [&](const Graph::Module& m) {
-            return m.component == component &&
-                   std::find(m.inputs.begin(), m.inputs.end(), topic) != m.inputs.end();
-          });
-      route.hurries =
-          grid.urgent_source[static_cast<std::size_t>(route.module)] == static_cast<int>(source);
-    }
-    routes.routes_.push_back(std::move(route));
-    routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
-  };
-  if (grid.periodic) {
-    for (const ChainSpec& chain : app.chains) {
-      if (routes.routes_.size() == kMaxChains) break;
-      const std::string& from = app.sources[static_cast<std::size_t>(chain.from)].name;
-      const std::string& to = app.xnodes[static_cast<std::size_t>(chain.to)].name;
-      const auto node = std::find_if(graph.nodes.begin(), graph.nodes.end(),
-                                     [&](const Graph::Node& n) { return n.name == to; });
-      const auto source = std::find_if(graph.sources.begin(), graph.sources.end(),
-                                       [&](const SourceSpec& s) { return s.name == from; });
-      end({.name = chain.name,
-           .from = from,
-           .to = to,
-           .deadline_us = chain.deadline_us.value_or(0)},
-          static_cast<std::size_t>(source - graph.sources.begin()),
-          static_cast<int>(node - graph.nodes.begin()));
-    }
-  }
-  const auto add = [&](ChainAccount counts, std::size_t topic, std::size_t module) {
-    end(std::move(counts), static_cast<std::size_t>(graph.topics[topic].source),
-        graph.modules[module].nodes.back());
-  };
-  for (const ChainDeployment& chain : deployment.chains) {
-    if (routes.routes_.size() == kMaxChains) break;
-    const std::string where = "chain '" + chain.name + "'";
-    const auto topic = std::find_if(
-        graph.topics.begin(), graph.topics.end(),
-        [&](const Graph::Topic& t) { return t.source >= 0 && t.spec.name == chain.from; });
-    if (topic == graph.topics.end())
-      return fail(ErrorCode::kInvalid, "'" + chain.from + "' is not the topic of a source", where);
-    const auto module = std::find_if(graph.modules.begin(), graph.modules.end(),
-                                     [&](const Graph::Module& m) { return m.name == chain.to; });
-    const auto t = static_cast<std::size_t>(topic - graph.topics.begin());
-    const auto m = static_cast<std::size_t>(module - graph.modules.begin());
-    if (module == graph.modules.end() || reached(graph, static_cast<int>(t))[m] == 0)
-      return fail(ErrorCode::kInvalid,
-                  "nothing of topic '" + chain.from + "' reaches XModule '" + chain.to + "'",
-                  where);
-    add({.name = chain.name,
-         .from = chain.from,
-         .to = chain.to,
-         .deadline_us = chain.deadline_us.value_or(0),
-         .max_age_us = chain.max_age_us.value_or(0)},
-        t, m);
-  }
-  if (grid.periodic || !deployment.chains.empty()) return routes;
-  for (std::size_t t = 0; t < graph.topics.size(); ++t) {
-    if (graph.topics[t].source < 0) continue;
-    const std::vector<char> reach = reached(graph, static_cast<int>(t));
-    const std::string& from = graph.topics[t].spec.name;
-    for (std::size_t m = 0; m < reach.size(); ++m)
-      if (reach[m] != 0 && graph.modules[m].sink && routes.routes_.size() < kMaxChains) {
-        const std::string& to = graph.modules[m].name;
-        add({.name = from + " -> " + to,
-             .from = from,
-             .to = to,
-             .deadline_us = app.deadline_us.value_or(0)},
-            t, m);
-      }
-  }
+  if (grid.periodic) routes.take_chains(graph, grid, app);
+  for (const ChainDeployment& chain : deployment.chains)
+    XAUTO_TRY(routes.take_chain(graph, grid, chain));
+  if (!grid.periodic && deployment.chains.empty())
+    routes.take_all(graph, grid, app.deadline_us.value_or(0));
   return routes;
+}
+
+/// As far as there is room.
+void Routes::add(const Graph& graph, const Grid& grid, ChainAccount counts, std::size_t source,
+                 int node) {
+  if (routes_.size() == kMaxChains) return;
+  Route route;
+  route.counts = std::move(counts);
+  route.module = graph.nodes[static_cast<std::size_t>(node)].module;
+  route.source = source;
+  if (grid.periodic) {
+    const int topic = graph.topic_of_source[source];
+    const int component = graph.modules[static_cast<std::size_t>(route.module)].component;
+    route.shift_ns = grid.sources[source].shift_ns;
+    route.period_ns = grid.sources[source].period_ns();
+    route.through_samples =
+        std::none_of(graph.modules.begin(), graph.modules.end(), [&](const Graph::Module& m) {
+          return m.component == component &&
+                 std::find(m.inputs.begin(), m.inputs.end(), topic) != m.inputs.end();
+        });
+    route.hurries =
+        grid.urgent_source[static_cast<std::size_t>(route.module)] == static_cast<int>(source);
+  }
+  routes_.push_back(std::move(route));
+  ends_[static_cast<std::size_t>(node)].push_back(routes_.size() - 1);
+}
+
+/// Those of app.json.
+void Routes::take_chains(const Graph& graph, const Grid& grid, const AppSpec& app) {
+  for (const ChainSpec& chain : app.chains) {
+    const std::string& from = app.sources[static_cast<std::size_t>(chain.from)].name;
+    const std::string& to = app.xnodes[static_cast<std::size_t>(chain.to)].name;
+    const auto node = std::ranges::find(graph.nodes, to, &Graph::Node::name);
+    const auto source = std::ranges::find(graph.sources, from, &SourceSpec::name);
+    add(graph, grid,
+        {.name = chain.name, .from = from, .to = to, .deadline_us = chain.deadline_us.value_or(0)},
+        static_cast<std::size_t>(source - graph.sources.begin()),
+        static_cast<int>(node - graph.nodes.begin()));
+  }
+}
+
+/// One of the deployment: from a sensor's topic to an XModule.
+Status Routes::take_chain(const Graph& graph, const Grid& grid, const ChainDeployment& chain) {
+  const std::string where = "chain '" + chain.name + "'";
+  const auto topic = std::ranges::find_if(graph.topics, [&](const Graph::Topic& t) {
+    return t.source >= 0 && t.spec.name == chain.from;
+  });
+  if (topic == graph.topics.end())
+    return fail(ErrorCode::kInvalid, "'" + chain.from + "' is not the topic of a source", where);
+  const auto module = std::ranges::find(graph.modules, chain.to, &Graph::Module::name);
+  const auto m = static_cast<std::size_t>(module - graph.modules.begin());
+  if (module == graph.modules.end() ||
+      reached(graph, static_cast<int>(topic - graph.topics.begin()))[m] == 0)
+    return fail(ErrorCode::kInvalid,
+                "nothing of topic '" + chain.from + "' reaches XModule '" + chain.to + "'", where);
+  add(graph, grid,
+      {.name = chain.name,
+       .from = chain.from,
+       .to = chain.to,
+       .deadline_us = chain.deadline_us.value_or(0),
+       .max_age_us = chain.max_age_us.value_or(0)},
+      static_cast<std::size_t>(topic->source), module->nodes.back());
+  return {};
+}
+
+/// From every sensor to every sink that hears of it.
+void Routes::take_all(const Graph& graph, const Grid& grid, std::int64_t deadline_us) {
+  for (std::size_t t = 0; t < graph.topics.size(); ++t) {
+    const Graph::Topic& topic = graph.topics[t];
+    if (topic.source < 0) continue;
+    const std::vector<char> reach = reached(graph, static_cast<int>(t));
+    for (std::size_t m = 0; m < reach.size(); ++m) {
+      const Graph::Module& to = graph.modules[m];
+      if (reach[m] != 0 && to.sink)
+        add(graph, grid,
+            {.name = topic.spec.name + " -> " + to.name,
+             .from = topic.spec.name,
+             .to = to.name,
+             .deadline_us = deadline_us},
+            static_cast<std::size_t>(topic.source), to.nodes.back());
+    }
+  }
 }
 
 void Routes::show_on(Board& board, const Grid* grid) {

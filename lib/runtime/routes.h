@@ -125,6 +125,11 @@ class Routes {
     std::int64_t urgent_allowed_us = 0;
     bool hurries = false;  ///< an urgent activation of its end is of an urgent release
   };
+  void add(const Graph& graph, const Grid& grid, ChainAccount counts, std::size_t source, int node);
+  void take_chains(const Graph& graph, const Grid& grid, const AppSpec& app);
+  [[nodiscard]] Status take_chain(const Graph& graph, const Grid& grid,
+                                  const ChainDeployment& chain);
+  void take_all(const Graph& graph, const Grid& grid, std::int64_t deadline_us);
   void count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
              std::optional<std::int64_t>& missed_us);
   struct Claims {

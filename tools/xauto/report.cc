@@ -322,114 +322,133 @@ bool is_healthy(const PolicyRun& run) {
   return found.empty();
 }
 
-std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  Json list = Json::array();
-  const PolicyRun* base = ros2_of(runs);
-  for (const PolicyRun& run : runs) {
-    const std::size_t n = run.latency.count;
-    const auto misses = deadline_misses(run);
-    Json j = {{"policy", run.id},
-              {"name", run.name},
-              {"p50_us", or_null(run.latency.p50_us, n)},
-              {"p99_us", p99_of(run.latency)},
-              {"max_us", or_null(run.latency.max_us, n)},
-              {"mean_us", or_null(run.latency.mean_us, n)},
-              {"p10_us", or_null(run.latency.p10_us, n)},
-              {"p90_us", or_null(run.latency.p90_us, n)},
-              {"activations", n},
-              {"lost_activations", lost_results(run.report)},
-              {"complete", run.report.complete},
-              {"deadline_misses", misses},
-              {"scheduling", runtime::to_string(run.scheduling)},
-              {"trace_events_lost", run.outcome.trace.lost},
-              {"trace_events_overwritten", run.outcome.trace.overwritten},
-              {"trace_s", traced_s(run.outcome.trace)},
-              {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
-    if (!flags.fail_on.empty()) {
-      Json gate = Json::object();
-      for (const GateCount& g : gate_of(flags, run)) gate[g.word] = g.count;
-      j["fail_on"] = std::move(gate);
+namespace {
+
+Json modules_json(const PolicyRun& run) {
+  Json modules = Json::array();
+  for (const runtime::ModuleReport& m : run.report.modules) {
+    Json entry = {{"name", m.name},
+                  {"activations", m.activations},
+                  {"failed", m.failed},
+                  {"dropped", m.dropped}};
+    if (m.off > 0) entry["off"] = m.off;
+    if (m.skipped > 0) entry["skipped"] = m.skipped;
+    if (m.unended > 0) entry["unended"] = m.unended;
+    if (m.sink) {
+      const Latency latency = summarise(m.latencies_us);
+      entry["p50_us"] = or_null(latency.p50_us, latency.count);
+      entry["p99_us"] = p99_of(latency);
+      entry["max_us"] = or_null(latency.max_us, latency.count);
     }
-    if (base != nullptr) {
-      const auto times = ratio(base->latency, &Latency::p99_us, run.latency);
-      j["p99_speedup_over_ros2"] = times;
-    }
-    if (run.policy) {
-      if (run.uncertified()) j["certified"] = false;
-      Json placement = Json::object();
-      for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
-        placement[flags.app.xnodes[i].name] =
-            flags.spec.xpus[static_cast<std::size_t>(run.policy->placements[i].xpu)].id;
-      j["placement"] = std::move(placement);
-    }
-    Json modules = Json::array();
-    for (const runtime::ModuleReport& m : run.report.modules) {
-      Json entry = {{"name", m.name},
-                    {"activations", m.activations},
-                    {"failed", m.failed},
-                    {"dropped", m.dropped}};
-      if (m.off > 0) entry["off"] = m.off;
-      if (m.skipped > 0) entry["skipped"] = m.skipped;
-      if (m.unended > 0) entry["unended"] = m.unended;
-      if (m.sink) {
-        const Latency latency = summarise(m.latencies_us);
-        entry["p50_us"] = or_null(latency.p50_us, latency.count);
-        entry["p99_us"] = p99_of(latency);
-        entry["max_us"] = or_null(latency.max_us, latency.count);
-      }
-      modules.push_back(std::move(entry));
-    }
-    j["modules"] = std::move(modules);
-    Json chains = Json::array();
-    for (const runtime::ChainAccount& r : run.report.account.chains) {
-      Json chain = runtime::chain_json(r);
-      chain["age_us"] = quantiles_json(r.age_us);
-      if (r.urgent_us.count() > 0) {
-        chain["urgent_results"] = r.urgent_us.count();
-        chain["urgent_us"] = quantiles_json(r.urgent_us);
-      }
-      chains.push_back(std::move(chain));
-    }
-    j["chains"] = std::move(chains);
-    j["claims"] = runtime::claims_json(run.report.account);
-    if (run.tables) runtime::add_changes(run.report, j);
-    Json xnodes = Json::array();
-    for (const runtime::XNodeReport& x : run.report.xnodes) {
-      Json entry = {
-          {"name", x.name}, {"jobs", x.jobs}, {"longest_us", or_null(x.longest_us, x.jobs)}};
-      if (x.budget_us > 0) {
-        entry["budget_us"] = x.budget_us;
-        entry["overruns"] = x.overruns;
-      }
-      if (x.wcet_us > 0) entry["wcet_us"] = x.wcet_us;
-      if (x.wcet_us > 0 || run.tables) entry["over_wcet"] = x.over_wcet;
-      if (x.unended > 0) {
-        entry["unended"] = x.unended;
-        entry["unended_us"] = x.unended_us;
-      }
-      if (x.hang_us > 0) {
-        entry["hang_us"] = x.hang_us;
-        entry["hangs"] = x.hangs;
-      }
-      xnodes.push_back(std::move(entry));
-    }
-    j["limited_xnodes"] = std::move(xnodes);
-    for (const runtime::PreemptionReport& of : run.report.preemptions)
-      j["preemptions"].push_back({{"xpu", of.xpu},
-                                  {"suspensions", of.suspensions},
-                                  {"suspend_us", of.suspend_us},
-                                  {"resume_us", of.resume_us},
-                                  {"preempt_us", of.preempt_us}});
-    if (const runtime::EarlyStartReport& early = run.report.early_starts; early.on)
-      j["early_starts"] = {{"jobs", early.jobs}, {"sum_us", early.sum_us}};
-    Json notes = Json::array();
-    if (!run.report.note.empty()) notes.push_back(run.report.note);
-    for (const std::string& note : run.outcome.notes) notes.push_back(note);
-    j["notes"] = std::move(notes);
-    if (!run.outcome.real_cpus.empty()) j["real_cpus"] = run.outcome.real_cpus;
-    list.push_back(std::move(j));
+    modules.push_back(std::move(entry));
   }
-  Json real = Json::array();
+  return modules;
+}
+
+Json chains_json(const PolicyRun& run) {
+  Json chains = Json::array();
+  for (const runtime::ChainAccount& r : run.report.account.chains) {
+    Json chain = runtime::chain_json(r);
+    chain["age_us"] = quantiles_json(r.age_us);
+    if (r.urgent_us.count() > 0) {
+      chain["urgent_results"] = r.urgent_us.count();
+      chain["urgent_us"] = quantiles_json(r.urgent_us);
+    }
+    chains.push_back(std::move(chain));
+  }
+  return chains;
+}
+
+/// Those with limits.
+Json xnodes_json(const PolicyRun& run) {
+  Json xnodes = Json::array();
+  for (const runtime::XNodeReport& x : run.report.xnodes) {
+    Json entry = {
+        {"name", x.name}, {"jobs", x.jobs}, {"longest_us", or_null(x.longest_us, x.jobs)}};
+    if (x.budget_us > 0) {
+      entry["budget_us"] = x.budget_us;
+      entry["overruns"] = x.overruns;
+    }
+    if (x.wcet_us > 0) entry["wcet_us"] = x.wcet_us;
+    if (x.wcet_us > 0 || run.tables) entry["over_wcet"] = x.over_wcet;
+    if (x.unended > 0) {
+      entry["unended"] = x.unended;
+      entry["unended_us"] = x.unended_us;
+    }
+    if (x.hang_us > 0) {
+      entry["hang_us"] = x.hang_us;
+      entry["hangs"] = x.hangs;
+    }
+    xnodes.push_back(std::move(entry));
+  }
+  return xnodes;
+}
+
+/// `base`: what the others are compared with; null: nothing.
+Json run_json(const RunFlags& flags, const PolicyRun& run, const PolicyRun* base) {
+  const std::size_t n = run.latency.count;
+  const auto misses = deadline_misses(run);
+  Json j = {{"policy", run.id},
+            {"name", run.name},
+            {"p50_us", or_null(run.latency.p50_us, n)},
+            {"p99_us", p99_of(run.latency)},
+            {"max_us", or_null(run.latency.max_us, n)},
+            {"mean_us", or_null(run.latency.mean_us, n)},
+            {"p10_us", or_null(run.latency.p10_us, n)},
+            {"p90_us", or_null(run.latency.p90_us, n)},
+            {"activations", n},
+            {"lost_activations", lost_results(run.report)},
+            {"complete", run.report.complete},
+            {"deadline_misses", misses},
+            {"scheduling", runtime::to_string(run.scheduling)},
+            {"trace_events_lost", run.outcome.trace.lost},
+            {"trace_events_overwritten", run.outcome.trace.overwritten},
+            {"trace_s", traced_s(run.outcome.trace)},
+            {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
+  if (!flags.fail_on.empty()) {
+    Json gate = Json::object();
+    for (const GateCount& g : gate_of(flags, run)) gate[g.word] = g.count;
+    j["fail_on"] = std::move(gate);
+  }
+  if (base != nullptr) {
+    const auto times = ratio(base->latency, &Latency::p99_us, run.latency);
+    j["p99_speedup_over_ros2"] = times;
+  }
+  if (run.policy) {
+    if (run.uncertified()) j["certified"] = false;
+    Json placement = Json::object();
+    for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
+      placement[flags.app.xnodes[i].name] =
+          flags.spec.xpus[static_cast<std::size_t>(run.policy->placements[i].xpu)].id;
+    j["placement"] = std::move(placement);
+  }
+  j["modules"] = modules_json(run);
+  j["chains"] = chains_json(run);
+  j["claims"] = runtime::claims_json(run.report.account);
+  if (run.tables) runtime::add_changes(run.report, j);
+  j["limited_xnodes"] = xnodes_json(run);
+  for (const runtime::PreemptionReport& of : run.report.preemptions)
+    j["preemptions"].push_back({{"xpu", of.xpu},
+                                {"suspensions", of.suspensions},
+                                {"suspend_us", of.suspend_us},
+                                {"resume_us", of.resume_us},
+                                {"preempt_us", of.preempt_us}});
+  if (const runtime::EarlyStartReport& early = run.report.early_starts; early.on)
+    j["early_starts"] = {{"jobs", early.jobs}, {"sum_us", early.sum_us}};
+  Json notes = Json::array();
+  if (!run.report.note.empty()) notes.push_back(run.report.note);
+  for (const std::string& note : run.outcome.notes) notes.push_back(note);
+  j["notes"] = std::move(notes);
+  if (!run.outcome.real_cpus.empty()) j["real_cpus"] = run.outcome.real_cpus;
+  return j;
+}
+
+}  // namespace
+
+std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
+  Json list = Json::array(), real = Json::array();
+  const PolicyRun* base = ros2_of(runs);
+  for (const PolicyRun& run : runs) list.push_back(run_json(flags, run, base));
   for (std::size_t x = 0; x < flags.presence.size(); ++x)
     if (flags.presence[x] == Presence::kReal) real.push_back(flags.spec.xpus[x].id);
   return Json{{"schema", "xauto.report"},     {"version", 1},
