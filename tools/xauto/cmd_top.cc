@@ -133,48 +133,43 @@ struct Observed {
   }
 };
 
-Json as_json(const Observed& observed, const Look& now, const Look& before) {
-  const Counts &c = now.counts, &b = before.counts;
-  const double s = static_cast<double>(c.at_ns - b.at_ns) * 1e-9;
-  Json j = {{"run", observed.run.run},
-            {"app", observed.run.app},
-            {"platform", observed.run.platform},
-            {"scheduling", observed.run.scheduling},
-            {"interval_ms", (c.at_ns - b.at_ns) / 1'000'000},
-            {"releases", c.released}};
-  j["chains"] = Json::array();
-  for (std::size_t i = 0; i < c.chains.size(); ++i) {
-    const FlowCounts& chain = c.chains[i];
-    const FlowNumbers n = numbers_of(chain, b.chains[i], c.at_ns, b.at_ns);
-    j["chains"].push_back({{"name", chain.name},
-                           {"rate_hz", n.rate_hz},
-                           {"p50_us", measured(n.p50_us)},
-                           {"p99_us", measured(n.p99_us)},
-                           {"max_us", measured(n.max_us)},
-                           {"age_us", chain.gone ? Json() : measured(n.age_us)},
-                           {"off", chain.gone},
-                           {"results", chain.results()},
-                           {"lost", chain.lost},
-                           {"deadline_misses", chain.deadline_misses},
-                           {"age_misses", chain.age_misses},
-                           {"last_us", measured(chain.last_us)},
-                           {"longest_us", measured(chain.longest_us)}});
-    if (chain.worst_case_us == 0) continue;
-    Json& shown = j["chains"].elements().back();
-    shown["worst_case_us"] = chain.worst_case_us;
+/// Chains over the time between two looks, and over the whole run what is claimed of them.
+Json chains_json(const Counts& now, const Counts& before) {
+  Json chains = Json::array();
+  for (std::size_t i = 0; i < now.chains.size(); ++i) {
+    const FlowCounts& chain = now.chains[i];
+    const FlowNumbers n = numbers_of(chain, before.chains[i], now.at_ns, before.at_ns);
+    Json shown = {{"name", chain.name},
+                  {"rate_hz", n.rate_hz},
+                  {"p50_us", measured(n.p50_us)},
+                  {"p99_us", measured(n.p99_us)},
+                  {"max_us", measured(n.max_us)},
+                  {"age_us", chain.gone ? Json() : measured(n.age_us)},
+                  {"off", chain.gone},
+                  {"results", chain.results()},
+                  {"lost", chain.lost},
+                  {"deadline_misses", chain.deadline_misses},
+                  {"age_misses", chain.age_misses},
+                  {"last_us", measured(chain.last_us)},
+                  {"longest_us", measured(chain.longest_us)}};
+    if (chain.worst_case_us > 0) shown["worst_case_us"] = chain.worst_case_us;
     if (chain.lower_bound_us > 0) shown["lower_bound_us"] = chain.lower_bound_us;
     if (chain.urgent_worst_case_us > 0)
       shown["urgent"] = {{"longest_us", measured(chain.longest_urgent_us)},
                          {"worst_case_us", chain.urgent_worst_case_us}};
+    chains.push_back(std::move(shown));
   }
-  j["claims"] = runtime::claims_json(c.account);
-  if (c.scenario) j["scenario"] = scenario_json(c);
-  j["modules"] = Json::array();
-  for (std::size_t m = 0; m < c.modules.size(); ++m) {
-    const ModuleCounts& module = c.modules[m];
-    j["modules"].push_back(
+  return chains;
+}
+
+Json modules_json(const Counts& now, const Counts& before) {
+  const double s = static_cast<double>(now.at_ns - before.at_ns) * 1e-9;
+  Json modules = Json::array();
+  for (std::size_t m = 0; m < now.modules.size(); ++m) {
+    const ModuleCounts& module = now.modules[m];
+    modules.push_back(
         {{"name", module.name},
-         {"rate_hz", static_cast<double>(module.activations - b.modules[m].activations) / s},
+         {"rate_hz", static_cast<double>(module.activations - before.modules[m].activations) / s},
          {"activations", module.activations},
          {"dropped", module.dropped},
          {"failed", module.failed},
@@ -182,19 +177,15 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
          {"skipped", module.skipped},
          {"deaths", module.deaths}});
   }
-  j["xpus"] = Json::array();
-  for (const XpuState& state : now.xpus)
-    j["xpus"].push_back(
-        {{"xpu", state.xpu}, {"running", state.running}, {"waiting", state.waiting}});
-  if (!now.kernel || !before.kernel) {
-    j["kernel"] = observed.why_not;
-    return j;
-  }
-  const Live& live = *observed.live;
-  j["kernel"] = "ok";
-  j["lost_jobs"] = live.tracer.losses().jobs;
-  for (const XpuLoad& load : loads_of(live, *now.kernel, *before.kernel)) {
-    std::vector<Json>& xpus = j["xpus"].elements();
+  return modules;
+}
+
+/// What the kernel knows: load, and XNodes one by one.
+void add_kernel(const Live& live, const KernelLook& now, const KernelLook& before, Json& into) {
+  into["kernel"] = "ok";
+  into["lost_jobs"] = live.tracer.losses().jobs;
+  for (const XpuLoad& load : loads_of(live, now, before)) {
+    std::vector<Json>& xpus = into["xpus"].elements();
     const auto at = std::find_if(xpus.begin(), xpus.end(),
                                  [&](const Json& x) { return x.at("xpu").text() == load.name; });
     if (at != xpus.end())
@@ -202,18 +193,40 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
     else
       xpus.push_back({{"xpu", load.name}, {"load_pct", load.percent}});
   }
-  for (std::size_t i = 0; i < now.kernel->hist.size(); ++i) {
+  for (std::size_t i = 0; i < now.hist.size(); ++i) {
     if (live.names[i].xnode.empty()) continue;  // room for apps that join the run
-    const XNodeNumbers n = numbers_of(now.kernel->hist[i], before.kernel->hist[i]);
-    j["xnodes"].push_back({{"xnode", live.names[i].xnode},
-                           {"xpu", live.names[i].xpu},
-                           {"jobs", n.jobs},
-                           {"latency_p50_us", measured(n.latency_p50_us)},
-                           {"latency_p99_us", measured(n.latency_p99_us)},
-                           {"run_ms", n.run_ms},
-                           {"wait_ms", n.wait_ms},
-                           {"preemptions", n.preemptions}});
+    const XNodeNumbers n = numbers_of(now.hist[i], before.hist[i]);
+    into["xnodes"].push_back({{"xnode", live.names[i].xnode},
+                              {"xpu", live.names[i].xpu},
+                              {"jobs", n.jobs},
+                              {"latency_p50_us", measured(n.latency_p50_us)},
+                              {"latency_p99_us", measured(n.latency_p99_us)},
+                              {"run_ms", n.run_ms},
+                              {"wait_ms", n.wait_ms},
+                              {"preemptions", n.preemptions}});
   }
+}
+
+Json as_json(const Observed& observed, const Look& now, const Look& before) {
+  const Counts& counts = now.counts;
+  Json j = {{"run", observed.run.run},
+            {"app", observed.run.app},
+            {"platform", observed.run.platform},
+            {"scheduling", observed.run.scheduling},
+            {"interval_ms", (counts.at_ns - before.counts.at_ns) / 1'000'000},
+            {"releases", counts.released},
+            {"chains", chains_json(counts, before.counts)},
+            {"claims", runtime::claims_json(counts.account)}};
+  if (counts.scenario) j["scenario"] = scenario_json(counts);
+  j["modules"] = modules_json(counts, before.counts);
+  j["xpus"] = Json::array();
+  for (const XpuState& state : now.xpus)
+    j["xpus"].push_back(
+        {{"xpu", state.xpu}, {"running", state.running}, {"waiting", state.waiting}});
+  if (now.kernel && before.kernel)
+    add_kernel(*observed.live, *now.kernel, *before.kernel, j);
+  else
+    j["kernel"] = observed.why_not;
   return j;
 }
 
@@ -305,7 +318,7 @@ Result<int> top(const TopFlags& flags, const Options& options) {
     return kDone;
   }
   const StopOnSignal stop;
-  const bool terminal = isatty(STDOUT_FILENO) != 0;
+  const bool terminal = can_draw(STDOUT_FILENO);
   // A script gets one look, and does not wait for the run's end.
   const int count = flags.once ? 1 : flags.count >= 0 ? flags.count : terminal ? 0 : 1;
   Observed observed;
