@@ -92,12 +92,13 @@ std::string Account::verdict_words(Layout layout) const {
     return why_nothing.empty() ? "nothing is claimed of this run" : why_nothing;
   if (said == Verdict::kKept) return "kept, as far as it is watched";
   const std::vector<std::string> why = said == Verdict::kExceeded ? taken_from() : broken();
-  std::string text = said == Verdict::kNotClaimed   ? "not claimed here:"
-                     : said == Verdict::kBothBroken ? "exceeded, and not claimed here:"
-                     : why.empty()
-                         ? "exceeded, though nothing that is watched was broken; if `xauto check` "
-                           "agrees to the policy, please report this run"
-                         : "exceeded; the app broke nothing that is watched, but:";
+  std::string text =
+      said == Verdict::kNotClaimed   ? "not claimed here:"
+      : said == Verdict::kBothBroken ? "exceeded, and not claimed here:"
+      : why.empty()
+          ? "exceeded, though nothing that is watched was broken; if nothing else used its XPUs, "
+            "which no run watches, and `xauto check` agrees to the policy, please report this run"
+          : "exceeded; the app broke nothing that is watched, but:";
   const bool list = layout == Layout::kList && why.size() > 1;
   for (std::size_t i = 0; i < why.size(); ++i)
     text += (list ? "\n    - " : i == 0 ? " " : "; ") + why[i];
