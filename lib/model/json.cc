@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "model/json_parts.h"
+#include "model/json_value.h"
 
 namespace xauto {
 
@@ -368,6 +369,20 @@ Result<Platform> load_platform(const std::string& name_or_path) {
   XAUTO_ASSIGN(Platform platform, parse_platform(*text, name_or_path, &keys));
   XAUTO_TRY(judge(keys, name_or_path));
   return platform;
+}
+
+Result<Platform> load_platform_of(const std::string& policy_path, const std::string& name_or_path) {
+  if (!name_or_path.empty()) return load_platform(name_or_path);
+  std::string named;
+  // A file that is missing or malformed is told by whoever reads all of it.
+  if (const auto text = read_file(policy_path))
+    if (const auto document = Json::parse(*text))
+      named = document->at("platform").text().value_or("");
+  if (named.empty()) return load_platform("small");
+  if (auto builtin = Platform::builtin(named)) return builtin;
+  return fail(ErrorCode::kInvalid,
+              "was made for platform '" + named + "', which does not come with XAuto", policy_path,
+              "give its file: --platform FILE");
 }
 
 Result<Profile> load_profile(const std::string& path) {

@@ -67,6 +67,10 @@ inline constexpr std::int64_t kAppVersion = 3;
 [[nodiscard]] Result<AppSpec> load_app(const std::string& path);
 /// `name_or_path`: a built-in name ("small", "large", "core-ultra") or a platform.json.
 [[nodiscard]] Result<Platform> load_platform(const std::string& name_or_path);
+/// ... and where that is empty the one that a policy.json or tables.json names, if it comes with XAuto; `small` where it
+/// names none. kInvalid: it names another one, whose file is needed.
+[[nodiscard]] Result<Platform> load_platform_of(const std::string& policy_path,
+                                                const std::string& name_or_path);
 [[nodiscard]] Result<Profile> load_profile(const std::string& path);
 /// A policy of an earlier version of the app, or for an earlier platform, to begin with: what can be
 /// said of the XNodes that are still there. One that was not, or was on an XPU that is gone, has

@@ -182,6 +182,19 @@ class Gate(unittest.TestCase):
                      "--", BIN / "driving-rates")
         self.assertEqual((done.returncode, done.stdout), (2, ""))
         self.assertIn("was made for platform 'small', and this run is on 'another'", done.stderr)
+        # Without --platform it is the policy's.
+        done = xauto("run", "--app", app, "--policy", policy, "--emulate", "--seconds", "1", "--json", "--", BIN / "driving-rates")
+        self.assertEqual((done.returncode, json.loads(done.stdout)["platform"]), (0, "small"), done.stderr)
+        with open(policy) as f:
+            elsewhere = {**json.load(f), "platform": "another"}
+        with open(f"{self.folder}/elsewhere.json", "w") as f:
+            json.dump(elsewhere, f)
+        for verb in ("run", "check", "simulate", "explain"):
+            more = ("--emulate", "--", BIN / "driving-rates") if verb == "run" else ()
+            done = xauto(verb, "--app", app, "--policy", f"{self.folder}/elsewhere.json", *more)
+            self.assertEqual(done.returncode, 2, (verb, done.stderr))
+            self.assertIn("was made for platform 'another', which does not come with XAuto", done.stderr)
+            self.assertIn("--platform FILE", done.stderr)
         hardware["name"] = "small"  # it says it is the same, and is not
         with open(platform, "w") as f:
             json.dump(hardware, f)

@@ -18,13 +18,13 @@ namespace xauto::cli {
 namespace {
 
 struct CheckFlags {
-  std::string app, platform = "small", policy;
+  std::string app, platform, policy;
   Wishes wishes;
 };
 
 Result<int> check(const CheckFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
-  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_ASSIGN(const Platform platform, load_platform_of(flags.policy, flags.platform));
   if (is_tables_file(flags.policy)) {
     if (flags.wishes.given())
       return fail(ErrorCode::kInvalid, "are for a policy.json", "--pin, --forbid, --group",
@@ -44,10 +44,10 @@ void add_check(Commands& commands) {
                            "Re-derive every number of a policy; exit status 1 if one of them is "
                            "false, or a deadline, a pin, "
                            "a forbid or a group is missed.",
-                           "xauto check --app app.json --platform small --policy policy.json",
+                           "xauto check --app app.json --policy policy.json",
                            [flags](const Options& options) { return check(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
-  verb.option("--platform", flags->platform, kPlatformNames).shown();
+  verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
   verb.option("--policy", flags->policy, "policy.json, or tables.json").required();
   add_wishes(verb, flags->wishes);
 }

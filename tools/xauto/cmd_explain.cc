@@ -161,13 +161,12 @@ Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
 Result<int> explain(const ExplainFlags& flags, const Options& options) {
   if (!flags.trace.empty()) return explain_trace(flags, options);
   for (const auto& [path, option] :
-       {std::pair{&flags.app, "--app"}, std::pair{&flags.platform, "--platform"},
-        std::pair{&flags.policy, "--policy"}})
+       {std::pair{&flags.app, "--app"}, std::pair{&flags.policy, "--policy"}})
     if (path->empty())
       return fail(ErrorCode::kInvalid, "is needed", option,
                   "or give the trace of a run: xauto explain --trace FILE.pftrace");
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
-  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_ASSIGN(const Platform platform, load_platform_of(flags.policy, flags.platform));
   return explain_policy(app, platform, flags.policy, flags.windows, flags.moves_s, options);
 }
 
@@ -180,7 +179,7 @@ void add_explain(Commands& commands) {
       "xauto explain --trace drive.pftrace --activation worst",
       [flags](const Options& options) { return explain(*flags, options); });
   verb.option("--app", flags->app, "app.json");
-  verb.option("--platform", flags->platform, kPlatformNames);
+  verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
   verb.option("--policy", flags->policy, "policy.json");
   verb.option("--windows", flags->windows, "write a picture of every job's window here, an SVG");
   verb.option("--time-limit-s", flags->moves_s, "for all that moving an XNode would bring")

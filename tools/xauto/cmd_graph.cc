@@ -14,7 +14,7 @@ namespace xauto::cli {
 namespace {
 
 struct GraphFlags {
-  std::string app, platform = "small", policy, dot, svg;
+  std::string app, platform, policy, dot, svg;
 };
 
 Result<int> graph(const GraphFlags& flags, const Options& options) {
@@ -25,7 +25,7 @@ Result<int> graph(const GraphFlags& flags, const Options& options) {
   Platform platform;
   story::GraphPlaces places;
   if (!flags.policy.empty()) {
-    XAUTO_ASSIGN(platform, load_platform(flags.platform));
+    XAUTO_ASSIGN(platform, load_platform_of(flags.policy, flags.platform));
     XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
     places.platform = &platform;
     for (const Placement& p : policy.placements) places.xpu.push_back(p.xpu);
@@ -47,12 +47,11 @@ void add_graph(Commands& commands) {
   Verb verb = commands.add(
       "graph",
       "Draw an app: sources and their rates, XModules, XNodes, who fires and samples whom.",
-      "xauto graph --app app.json --policy policy.json --platform small --svg app.svg",
+      "xauto graph --app app.json --policy policy.json --svg app.svg",
       [flags](const Options& options) { return graph(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
   verb.option("--policy", flags->policy, "policy.json: draws where each XNode runs, too");
-  verb.option("--platform", flags->platform, std::string("of the policy: ") + kPlatformNames)
-      .shown();
+  verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
   verb.option("--dot", flags->dot,
               "write it here for Graphviz; without --dot and --svg: to stdout");
   verb.option("--svg", flags->svg, "write it here as an SVG that any browser opens");

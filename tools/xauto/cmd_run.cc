@@ -86,7 +86,7 @@ void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
 
 Result<int> run(const OneRunFlags& given, const Options& options) {
   OneRunFlags flags = given;
-  XAUTO_TRY(flags.prepare());
+  XAUTO_TRY(flags.prepare(flags.policy_path));
   std::vector<PolicyRun> runs(1);
   PolicyRun& run = runs.front();
   run.scheduling = *runtime::scheduling_from(flags.scheduling);
@@ -97,7 +97,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
     if (flags.policy_path.empty())
       return fail(ErrorCode::kInvalid, "is needed unless --scheduling ros2", "--policy",
                   "make one with `xauto solve --app " + flags.app_path + " --platform " +
-                      flags.platform + " --out policy.json`");
+                      flags.spec.name + " --out policy.json`");
     if (is_tables_file(flags.policy_path)) {
       XAUTO_TRY(take_tables(flags, run));
       XAUTO_TRY(check_platform(flags, run.tables->platform));
@@ -167,10 +167,9 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
 
 void add_run(Commands& commands) {
   auto flags = std::make_shared<OneRunFlags>();
-  Verb verb = commands.add(
-      "run", "Run an app under a policy and measure its end-to-end latency.",
-      "xauto run --app app.json --policy policy.json --platform small -- build/bin/driving",
-      [flags](const Options& options) { return run(*flags, options); });
+  Verb verb = commands.add("run", "Run an app under a policy and measure its end-to-end latency.",
+                           "xauto run --app app.json --policy policy.json -- build/bin/driving",
+                           [flags](const Options& options) { return run(*flags, options); });
   flags->declare(verb);
   verb.option(
       "--policy", flags->policy_path,

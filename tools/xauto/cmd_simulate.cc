@@ -19,13 +19,13 @@ namespace xauto::cli {
 namespace {
 
 struct SimulateFlags {
-  std::string app, platform = "small", policy, out;
+  std::string app, platform, policy, out;
   solver::keys::PlayOptions play;
 };
 
 Result<int> simulate(const SimulateFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
-  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_ASSIGN(const Platform platform, load_platform_of(flags.policy, flags.platform));
   return simulate_policy(app, platform, flags.policy, flags.play, flags.out, options);
 }
 
@@ -34,10 +34,10 @@ Result<int> simulate(const SimulateFlags& flags, const Options& options) {
 void add_simulate(Commands& commands) {
   auto flags = std::make_shared<SimulateFlags>();
   Verb verb = commands.add("simulate", "Play a policy in virtual time, to the microsecond.",
-                           "xauto simulate --app app.json --platform small --policy policy.json",
+                           "xauto simulate --app app.json --policy policy.json",
                            [flags](const Options& options) { return simulate(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
-  verb.option("--platform", flags->platform, kPlatformNames).shown();
+  verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
   verb.option("--policy", flags->policy, "policy.json").required();
   verb.option("--out", flags->out, "write the result here");
   verb.option("--seconds", flags->play.seconds, "how long").range(1, 86400).shown();

@@ -59,7 +59,7 @@ const std::atomic<bool>* StopOnSignal::flag() const {
 
 void RunFlags::declare(Verb verb) {
   verb.option("--app", app_path, "app.json: the XNodes and their WCETs").required();
-  verb.option("--platform", platform, kPlatformNames).shown();
+  verb.option("--platform", platform, kPlatformNames).shown_as("the policy's, else small");
   verb.option("--activations", activations,
               "releases of the slowest sensor, the others as many as fit into "
               "that time; 0: until Ctrl-C or the input's end")
@@ -119,9 +119,9 @@ void RunFlags::declare(Verb verb) {
   verb.option("command", command, "the app's program and its arguments, after --").required();
 }
 
-Status RunFlags::prepare() {
+Status RunFlags::prepare(const std::string& policy_path) {
   XAUTO_ASSIGN(app, load_app(app_path));
-  XAUTO_ASSIGN(spec, load_platform(platform));
+  XAUTO_ASSIGN(spec, load_platform_of(policy_path, platform));
   XAUTO_TRY(validate_on(app, spec));
   if (emulator_modules) {
     if (!kernel::module_is_loaded())

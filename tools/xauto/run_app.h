@@ -38,7 +38,7 @@ class StopOnSignal {
 
 /// Flags of every verb that starts an app.
 struct RunFlags {
-  std::string app_path, platform = "small", input, cpu_sched = "fifo", record_path;
+  std::string app_path, platform, input, cpu_sched = "fifo", record_path;
   bool record_outputs = false;
   std::uint64_t activations = 200;
   double seconds = 0;  ///< 0: `activations` counts
@@ -56,7 +56,8 @@ struct RunFlags {
 
   void declare(Verb verb);
   /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.
-  [[nodiscard]] Status prepare();
+  /// `policy_path`: whose platform it is where none is given; empty: `small`.
+  [[nodiscard]] Status prepare(const std::string& policy_path = {});
   [[nodiscard]] Status prepare_deployment();
   [[nodiscard]] Status prepare_script();
 

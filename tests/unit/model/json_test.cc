@@ -137,6 +137,24 @@ TEST(Json, LevelsAreOfAPreemptiveXpuAlone) {
   }
 }
 
+TEST(Platform, IsThePolicysUnlessToldOtherwise) {
+  const Folder folder;
+  const std::string path = folder / "policy.json";
+  const auto name_of = [&](const char* policy, const std::string& given) {
+    EXPECT_TRUE(write_file(path, policy));
+    const auto platform = load_platform_of(path, given);
+    return platform ? platform->name : platform.error().to_string();
+  };
+  EXPECT_EQ(name_of(R"({"platform": "large"})", ""), "large");
+  EXPECT_EQ(name_of(R"({"platform": "large"})", "small"), "small");
+  EXPECT_EQ(name_of("{}", ""), "small");
+  EXPECT_EQ(name_of("no JSON", ""), "small") << "who reads all of it tells what is wrong";
+  const std::string refused = name_of(R"({"platform": "/etc/passwd"})", "");
+  EXPECT_NE(refused.find("was made for platform '/etc/passwd', which does not come with XAuto"),
+            std::string::npos)
+      << refused;
+}
+
 TEST(File, IsReplacedAsAWhole) {
   const Folder folder;
   const std::string path = folder / "out.json";
