@@ -130,6 +130,18 @@ class Supervisor {
     XAUTO_ASSIGN(const std::string text, to_json(session));
     XAUTO_TRY(write_memory_file(session_.get(), text));
     if (scheduled) XAUTO_TRY(daemons_->start_coordinators(session, sockets, session_.get()));
+    SpawnOptions options = app_options(session);
+    if (hub) options.inherit.push_back(hub.get());
+    XAUTO_ASSIGN(app_, Child::spawn(options));
+    if (!hub) return {};
+    std::erase(options.inherit, hub.get());
+    std::erase(options.inherit, answer_.get());
+    std::erase(options.inherit, board_fd_.get());  // they get it from the hub
+    return start_modules(session, options);
+  }
+
+  /// What the app's process is, what it inherits, and what its environment says of the session.
+  [[nodiscard]] SpawnOptions app_options(const Session& session) const {
     SpawnOptions options;
     options.argv = request_.command;
     options.inherit = {session_.get(), answer_.get()};
@@ -153,12 +165,11 @@ class Supervisor {
       options.environment.emplace_back("LD_PRELOAD", watch);
     if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
       options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
-    if (hub) options.inherit.push_back(hub.get());
-    XAUTO_ASSIGN(app_, Child::spawn(options));
-    if (!hub) return {};
-    std::erase(options.inherit, hub.get());
-    std::erase(options.inherit, answer_.get());
-    std::erase(options.inherit, board_fd_.get());  // they get it from the hub
+    return options;
+  }
+
+  /// One process for each group of modules that has its own.
+  Status start_modules(const Session& session, const SpawnOptions& options) {
     for (std::size_t p = 0; p < session.processes.size(); ++p) {
       ModuleProcess process;
       process.index = static_cast<int>(p) + 1;
