@@ -234,6 +234,108 @@ class Refuter : private Rules {
     return descend(w, depth + 1);
   }
 
+  /// A type that is to be decided for an XNode; -1: none.
+  struct Choice {
+    int xnode = -1, type = -1;
+  };
+
+  /// The XNode whose type is least decided, by the work that hangs on it.
+  [[nodiscard]] Choice least_decided(const Windows& w) const {
+    Choice choice;
+    double best = 1e-6;
+    for (int i = 0; i < n_; ++i) {
+      if (std::has_single_bit(w.types[at(i)])) continue;
+      double top = 0;
+      int top_type = 0;
+      Time high = 0;
+      for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1) {
+        const int t = std::countr_zero(types);
+        high = std::max(high, problem_.wcet(i, t));
+        if (lp_.share(i, t) > top) {
+          top = lp_.share(i, t);
+          top_type = t;
+        }
+      }
+      const double score = weight_[at(i)] * (1 - top) * static_cast<double>(high);
+      if (score > best) {
+        best = score;
+        choice = {i, top_type};
+      }
+    }
+    return choice;
+  }
+
+  /// Where the LP's answer is whole: a type whose alternatives keep a window looser than it may be.
+  [[nodiscard]] Choice loosest(const Windows& w) const {
+    Choice choice;
+    Time looseness = 0;
+    for (int i = 0; i < n_; ++i) {
+      if (std::has_single_bit(w.types[at(i)])) continue;
+      for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1) {
+        const int t = std::countr_zero(types);
+        if (lp_.share(i, t) < 0.5) continue;
+        const Time gain = 1 + problem_.wcet(i, t) - least(w, i);
+        if (gain <= looseness) continue;
+        looseness = gain;
+        choice = {i, t};
+      }
+    }
+    return choice;
+  }
+
+  /// A child for each instance that `xnode` may have.
+  bool place_each(const Windows& w, int xnode, int depth) {
+    const int shared = std::countr_zero(w.types[at(xnode)]);
+    int used = 0;
+    for (int i = 0; i < n_; ++i)
+      if (w.types[at(i)] == w.types[at(xnode)]) used = std::max(used, w.place[at(i)] + 1);
+    const auto instances = static_cast<int>(problem_.type_xpus[at(shared)].size());
+    // Instances that have nobody yet are alike: one of them stands for all.
+    for (int k = 0; k <= std::min(used, instances - 1); ++k) {
+      Windows child = w;
+      child.place[at(xnode)] = k;
+      if (!descend(child, depth + 1)) return false;
+    }
+    return true;
+  }
+
+  /// A child for each relation that the pair may have.
+  bool relate_each(const Windows& w, int i, int j, int depth) {
+    const int shared = std::countr_zero(w.types[at(i)]);
+    const unsigned possible = relations(w, i, j, shared);
+    for (const Relation relation : {kFirst, kSecond, kInFirst, kInSecond}) {
+      if ((possible & relation) == 0) continue;
+      Windows child = w;
+      relate(child, i, j, shared, relation);
+      if (!descend(child, depth + 1)) return false;
+    }
+    return true;
+  }
+
+  /// Both halves of when an XNode becomes ready: its predecessors are all done by the middle, or it
+  /// cannot start before. Each half is narrower, so that this ends.
+  bool split_ready(Windows& w, int depth) {
+    int widest_of = -1;
+    Time widest = 0;
+    for (int i = 0; i < n_; ++i) {
+      const Time width = latest_ready(w, i) - w.r[at(i)];
+      if (width <= widest) continue;
+      widest = width;
+      widest_of = i;
+    }
+    if (widest_of < 0) {
+      if (!fit_.possible(w, kMostSteps)) return true;
+      open_leaf_ = true;
+      return false;
+    }
+    const Time middle = w.r[at(widest_of)] + (widest - 1) / 2;
+    Windows early = w;
+    ready_by(early, widest_of, middle);
+    if (!descend(early, depth + 1)) return false;
+    w.r[at(widest_of)] = middle + 1;
+    return descend(w, depth + 1);
+  }
+
   /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
   bool descend(Windows& w, int depth) {
     if (depth > 400) open_leaf_ = true;  // as good as: a larger budget ends here again
@@ -244,50 +346,13 @@ class Refuter : private Rules {
       if (decided_ >= 0) weight_[at(decided_)] += 1;
       return true;
     }
-    // The XNode whose type is least decided, by the work that hangs on it.
-    int branch = -1, type = -1;
-    double best = 1e-6;
-    for (int i = 0; i < n_; ++i) {
-      if (std::has_single_bit(w.types[at(i)])) continue;
-      double top = 0;
-      int top_type = 0;
-      Time low = kNever, high = 0;
-      for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1) {
-        const int t = std::countr_zero(types);
-        low = std::min(low, problem_.wcet(i, t));
-        high = std::max(high, problem_.wcet(i, t));
-        if (lp_.share(i, t) > top) {
-          top = lp_.share(i, t);
-          top_type = t;
-        }
-      }
-      const double score = weight_[at(i)] * (1 - top) * static_cast<double>(high);
-      if (score > best) {
-        best = score;
-        branch = i;
-        type = top_type;
-      }
-    }
-    if (branch >= 0) return decide(w, branch, type, depth);
-    // The LP's answer is whole: decide a type whose alternatives keep a window looser than it may
-    // be.
-    Time looseness = 0;
-    for (int i = 0; i < n_; ++i) {
-      if (std::has_single_bit(w.types[at(i)])) continue;
-      for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1) {
-        const int t = std::countr_zero(types);
-        if (lp_.share(i, t) < 0.5) continue;
-        const Time gain = 1 + problem_.wcet(i, t) - least(w, i);
-        if (gain <= looseness) continue;
-        looseness = gain;
-        branch = i;
-        type = t;
-      }
-    }
-    if (branch >= 0) return decide(w, branch, type, depth);
+    if (const Choice choice = least_decided(w); choice.xnode >= 0)
+      return decide(w, choice.xnode, choice.type, depth);
+    if (const Choice choice = loosest(w); choice.xnode >= 0)
+      return decide(w, choice.xnode, choice.type, depth);
     decided_ = -1;
     if (try_as_policy(w)) return false;
-    branch = pairs_first_ && open_i >= 0 ? -1 : unplaced(w, false);
+    int branch = pairs_first_ && open_i >= 0 ? -1 : unplaced(w, false);
     if (branch < 0 && open_i < 0 && uniform()) {
       branch = unplaced(w, true);
       if (branch < 0) {
@@ -296,51 +361,9 @@ class Refuter : private Rules {
         if (outcome != Outcome::kUnknown) return outcome == Outcome::kNone;
       }
     }
-    if (branch >= 0) {
-      const int shared = std::countr_zero(w.types[at(branch)]);
-      int used = 0;
-      for (int i = 0; i < n_; ++i)
-        if (w.types[at(i)] == w.types[at(branch)]) used = std::max(used, w.place[at(i)] + 1);
-      const auto instances = static_cast<int>(problem_.type_xpus[at(shared)].size());
-      // Instances that have nobody yet are alike: one of them stands for all.
-      for (int k = 0; k <= std::min(used, instances - 1); ++k) {
-        Windows child = w;
-        child.place[at(branch)] = k;
-        if (!descend(child, depth + 1)) return false;
-      }
-      return true;
-    }
-    if (open_i >= 0) {
-      const int shared = std::countr_zero(w.types[at(open_i)]);
-      const unsigned possible = relations(w, open_i, open_j, shared);
-      for (const Relation relation : {kFirst, kSecond, kInFirst, kInSecond}) {
-        if ((possible & relation) == 0) continue;
-        Windows child = w;
-        relate(child, open_i, open_j, shared, relation);
-        if (!descend(child, depth + 1)) return false;
-      }
-      return true;
-    }
-    // Split when an XNode becomes ready: its predecessors are all done by the middle, or it cannot
-    // start before. Each half is narrower, so that this ends.
-    Time widest = 0;
-    for (int i = 0; i < n_; ++i) {
-      const Time width = latest_ready(w, i) - w.r[at(i)];
-      if (width <= widest) continue;
-      widest = width;
-      branch = i;
-    }
-    if (branch < 0) {
-      if (!fit_.possible(w, kMostSteps)) return true;
-      open_leaf_ = true;
-      return false;
-    }
-    const Time middle = w.r[at(branch)] + (widest - 1) / 2;
-    Windows early = w;
-    ready_by(early, branch, middle);
-    if (!descend(early, depth + 1)) return false;
-    w.r[at(branch)] = middle + 1;
-    return descend(w, depth + 1);
+    if (branch >= 0) return place_each(w, branch, depth);
+    if (open_i >= 0) return relate_each(w, open_i, open_j, depth);
+    return split_ready(w, depth);
   }
 
   /// The XNode whose instance is to be decided next: the one with the least room, of those that so
