@@ -218,84 +218,89 @@ int EnergyLp::separate(const Windows& windows) {
   added = separate_chains(windows);
   full_.resize(at(types_));
   for (auto& full : full_) full.clear();
-  struct Item {
-    Time r, d, w;
-    double x;
+  for (int t = 0; t < types_; ++t) added += separate_windows(windows, t);
+  return added;
+}
+
+void EnergyLp::read_works(const Windows& windows, int type) {
+  works_.clear();
+  begins_.clear();
+  ends_.clear();
+  for (int i = 0; i < n_; ++i) {
+    const double x = share_[at(i * types_ + type)];
+    if (x < 1e-9) continue;
+    works_.push_back(
+        {windows.r[at(i)], windows.d[at(i)], problem_.wcet(i, type) + windows.paid[at(i)], x});
+    begins_.push_back(windows.r[at(i)]);
+    ends_.push_back(windows.d[at(i)]);
+  }
+}
+
+void EnergyLp::read_slopes(Time a) {
+  // What is left of an XNode at a begins to count once b is within it of the end that it may
+  // have, and then with every microsecond of b, until all of it counts.
+  slope_.assign(ends_.size() + 1, 0.0);
+  level_.assign(ends_.size() + 1, 0.0);
+  const auto first_end = [&](Time b) {
+    return static_cast<std::size_t>(std::lower_bound(ends_.begin(), ends_.end(), b) -
+                                    ends_.begin());
   };
-  std::vector<Item> items;
-  std::vector<Time> begins, ends;
-  std::vector<double> slope, level;  // by end: the energy so far is slope * end + level
-  for (int t = 0; t < types_; ++t) {
-    items.clear();
-    begins.clear();
-    ends.clear();
-    for (int i = 0; i < n_; ++i) {
-      const double x = share_[at(i * types_ + t)];
-      if (x < 1e-9) continue;
-      items.push_back(
-          {windows.r[at(i)], windows.d[at(i)], problem_.wcet(i, t) + windows.paid[at(i)], x});
-      begins.push_back(windows.r[at(i)]);
-      ends.push_back(windows.d[at(i)]);
-    }
-    const auto instances = static_cast<double>(problem_.type_xpus[at(t)].size());
-    if (static_cast<double>(items.size()) <= instances) continue;
-    sort_and_thin(begins);
-    sort_and_thin(ends);
-    // The two most violated windows with different beginnings.
-    double best[2] = {1e-6, 1e-6};
-    Row found[2] = {{kNone, 0, 0}, {kNone, 0, 0}};
-    for (const Time a : begins) {
-      // What is left of an XNode at a begins to count once b is within it of the end that it may
-      // have, and then with every microsecond of b, until all of it counts.
-      slope.assign(ends.size() + 1, 0.0);
-      level.assign(ends.size() + 1, 0.0);
-      const auto first_end = [&](Time b) {
-        return static_cast<std::size_t>(std::lower_bound(ends.begin(), ends.end(), b) -
-                                        ends.begin());
-      };
-      for (const Item& item : items) {
-        const Time left = item.w - std::max<Time>(0, a - item.r);
-        if (left <= 0) continue;
-        const Time from = std::max(a, item.d - left);
-        const std::size_t grows = first_end(from), full = first_end(from + left);
-        slope[grows] += item.x;
-        level[grows] -= item.x * static_cast<double>(from - a);
-        slope[full] -= item.x;
-        level[full] += item.x * static_cast<double>(from + left - a);
-      }
-      Full fullest{kNearlyFull * instances, a, a};
-      double best_here = 1e-6, rate = 0, base = 0;
-      Row here{kNone, 0, 0};
-      for (std::size_t k = 0; k < ends.size(); ++k) {
-        rate += slope[k];
-        base += level[k];
-        const Time b = ends[k];
-        if (b <= a) continue;
-        const auto length = static_cast<double>(b - a);
-        const double used = (rate * length + base) / length, violation = used - instances;
-        if (used > fullest.instances) fullest = {used, a, b};
-        if (violation > best_here) {
-          best_here = violation;
-          here = {t, a, b};
-        }
-      }
-      if (fullest.b > a) full_[at(t)].push_back(fullest);
-      if (here.type == kNone) continue;
-      if (best_here > best[0]) {
-        best[1] = best[0];
-        found[1] = found[0];
-        best[0] = best_here;
-        found[0] = here;
-      } else if (best_here > best[1]) {
-        best[1] = best_here;
-        found[1] = here;
+  for (const Work& work : works_) {
+    const Time left = work.w - std::max<Time>(0, a - work.r);
+    if (left <= 0) continue;
+    const Time from = std::max(a, work.d - left);
+    const std::size_t grows = first_end(from), full = first_end(from + left);
+    slope_[grows] += work.x;
+    level_[grows] -= work.x * static_cast<double>(from - a);
+    slope_[full] -= work.x;
+    level_[full] += work.x * static_cast<double>(from + left - a);
+  }
+}
+
+int EnergyLp::separate_windows(const Windows& windows, int type) {
+  read_works(windows, type);
+  const auto instances = static_cast<double>(problem_.type_xpus[at(type)].size());
+  if (static_cast<double>(works_.size()) <= instances) return 0;
+  sort_and_thin(begins_);
+  sort_and_thin(ends_);
+  // The two most violated windows with different beginnings.
+  double best[2] = {1e-6, 1e-6};
+  Row found[2] = {{kNone, 0, 0}, {kNone, 0, 0}};
+  for (const Time a : begins_) {
+    read_slopes(a);
+    Full fullest{kNearlyFull * instances, a, a};
+    double best_here = 1e-6, rate = 0, base = 0;
+    Row here{kNone, 0, 0};
+    for (std::size_t k = 0; k < ends_.size(); ++k) {
+      rate += slope_[k];
+      base += level_[k];
+      const Time b = ends_[k];
+      if (b <= a) continue;
+      const auto length = static_cast<double>(b - a);
+      const double used = (rate * length + base) / length, violation = used - instances;
+      if (used > fullest.instances) fullest = {used, a, b};
+      if (violation > best_here) {
+        best_here = violation;
+        here = {type, a, b};
       }
     }
-    for (const Row& row : found) {
-      if (row.type == kNone) continue;
-      add_row(windows, row);
-      ++added;
+    if (fullest.b > a) full_[at(type)].push_back(fullest);
+    if (here.type == kNone) continue;
+    if (best_here > best[0]) {
+      best[1] = best[0];
+      found[1] = found[0];
+      best[0] = best_here;
+      found[0] = here;
+    } else if (best_here > best[1]) {
+      best[1] = best_here;
+      found[1] = here;
     }
+  }
+  int added = 0;
+  for (const Row& row : found) {
+    if (row.type == kNone) continue;
+    add_row(windows, row);
+    ++added;
   }
   return added;
 }

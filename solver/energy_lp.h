@@ -75,6 +75,11 @@ class EnergyLp {
     double instances;
     Time a, b;
   };
+  /// What an XNode may have to run on a type: its window, its work, and the fraction that is there.
+  struct Work {
+    Time r, d, w;
+    double x;
+  };
   static constexpr int kShares = -1, kChain = -2, kNone = -3;
 
   [[nodiscard]] Time energy(const Windows& windows, std::size_t i, int type, Time a, Time b) const;
@@ -85,6 +90,11 @@ class EnergyLp {
   void read_shares(const Windows& windows);
   int separate(const Windows& windows);
   int separate_chains(const Windows& windows);
+  /// Adds the windows that hold more of a type's work than its instances can do.
+  int separate_windows(const Windows& windows, int type);
+  void read_works(const Windows& windows, int type);
+  /// The energy in windows from `a` on, by where they end.
+  void read_slopes(Time a);
   int separate_packing(const Windows& windows);
   /// The row's coefficient of the fraction of `i` on `type`.
   [[nodiscard]] Time coefficient(const Windows& windows, const Row& row, std::size_t i,
@@ -109,6 +119,10 @@ class EnergyLp {
   std::vector<Row> rows_;
   std::vector<std::vector<Full>> full_;  ///< by type: windows that separate() found nearly full
   Packing packing_;
+  // Of separate_windows(): works, and where their windows begin and end.
+  std::vector<Work> works_;
+  std::vector<Time> begins_, ends_;
+  std::vector<double> slope_, level_;  ///< by end: the energy so far is slope * length + level
   std::vector<double> spans_, heads_;  ///< separate_chains(): fractional, by XNode
   std::vector<int> before_;
   std::size_t bad_row_ = 0;
