@@ -264,12 +264,65 @@ class Team {
     return runners.front();
   }
 
+  /// A worker's own best: by priorities, in an order, and with both.
+  struct Held {
+    int thread;
+    Solution own, ordered, mixed;
+    std::optional<TabuSearch> tabu;
+  };
+
+  /// Searches one space, from the best start that it can have.
+  void take_turn(Space space, Held& held, std::uint64_t seed, const StopWhen& mine,
+                 SearchCallbacks& callbacks) {
+    switch (space) {
+      case Space::kPriorities:
+        held.own = anneal(problem_, held.own, seed, mine, callbacks);
+        break;
+      case Space::kOrdered: {
+        const Solution& start =
+            held.ordered.makespan <= held.own.makespan ? held.ordered : held.own;
+        held.ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
+        break;
+      }
+      case Space::kTabu:
+      case Space::kStretches: {
+        if (space == Space::kTabu && !held.tabu) held.tabu.emplace(problem_, seed);
+        const Solution start =
+            held.own.makespan < held.ordered.makespan ? in_order(held.own) : held.ordered;
+        Solution found = space == Space::kTabu
+                             ? held.tabu->run(start, mine, callbacks)
+                             : anneal_stretches(problem_, start, seed, mine, callbacks);
+        if (found.makespan < held.ordered.makespan) held.ordered = std::move(found);
+        break;
+      }
+      case Space::kDispatched: {
+        const Solution start = held.ordered.makespan <= held.own.makespan ? held.ordered : held.own;
+        callbacks.on_better = [&](const Solution& solution) {
+          Solution ordered = in_order(solution);
+          if (ordered.makespan >= held.ordered.makespan) return;
+          note(held.thread, ordered, true);
+          held.ordered = std::move(ordered);
+        };
+        (void)anneal(undisturbed_, start, seed, mine, callbacks);
+        break;
+      }
+      case Space::kMixed: {
+        const Solution* start = &held.own;
+        if (held.mixed.makespan < start->makespan) start = &held.mixed;
+        if (held.ordered.makespan < start->makespan) start = &held.ordered;
+        held.mixed = anneal_mixed(problem_, start->ordered ? as_waiting(*start) : *start, seed,
+                                  mine, callbacks);
+        break;
+      }
+    }
+  }
+
   void work(int t) {
     const auto k = static_cast<std::size_t>(t);
-    Solution own = starts_[k % starts_.size()];
-    Solution own_ordered = own, own_mixed = own;
+    Held held{t, starts_[k % starts_.size()], {}, {}, {}};
+    Solution &own = held.own, &own_ordered = held.ordered, &own_mixed = held.mixed;
+    own_ordered = own_mixed = own;
     own_ordered.makespan = own_mixed.makespan = kNever;
-    std::optional<TabuSearch> tabu;
     std::int64_t budget = options_.max_evaluations / threads_ + (counted() ? 1 : 0);
     Clock::duration slice = seconds(std::min(kFirstTurnS, options_.time_limit_s / kFirstTurns));
     // All spaces have a turn, however small the budget.
@@ -305,45 +358,7 @@ class Team {
       const StopWhen mine =
           stop_when(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
       const std::uint64_t seed = seed_of(t, static_cast<std::uint64_t>(turn));
-      switch (space) {
-        case Space::kPriorities:
-          own = anneal(problem_, own, seed, mine, callbacks);
-          break;
-        case Space::kOrdered: {
-          const Solution& start = own_ordered.makespan <= own.makespan ? own_ordered : own;
-          own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
-          break;
-        }
-        case Space::kTabu:
-        case Space::kStretches: {
-          if (space == Space::kTabu && !tabu) tabu.emplace(problem_, seed);
-          const Solution start = own.makespan < own_ordered.makespan ? in_order(own) : own_ordered;
-          Solution found = space == Space::kTabu
-                               ? tabu->run(start, mine, callbacks)
-                               : anneal_stretches(problem_, start, seed, mine, callbacks);
-          if (found.makespan < own_ordered.makespan) own_ordered = std::move(found);
-          break;
-        }
-        case Space::kDispatched: {
-          const Solution start = own_ordered.makespan <= own.makespan ? own_ordered : own;
-          callbacks.on_better = [&](const Solution& solution) {
-            Solution ordered = in_order(solution);
-            if (ordered.makespan >= own_ordered.makespan) return;
-            note(t, ordered, true);
-            own_ordered = std::move(ordered);
-          };
-          (void)anneal(undisturbed_, start, seed, mine, callbacks);
-          break;
-        }
-        case Space::kMixed: {
-          const Solution* start = &own;
-          if (own_mixed.makespan < start->makespan) start = &own_mixed;
-          if (own_ordered.makespan < start->makespan) start = &own_ordered;
-          own_mixed = anneal_mixed(problem_, start->ordered ? as_waiting(*start) : *start, seed,
-                                   mine, callbacks);
-          break;
-        }
-      }
+      take_turn(space, held, seed, mine, callbacks);
       if (own_ordered.makespan < own.makespan) {
         // What one space has found is a start in the other.
         Solution shared = by_finish(problem_, own_ordered);
