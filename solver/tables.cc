@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <set>
 #include <tuple>
 
@@ -339,6 +340,47 @@ class TablesSearch {
     for (Task& task : tasks) add(std::move(task.result));
   }
 
+  /// One step of anneal_for().
+  struct Change {
+    int xnode;
+    bool moves;    ///< to another XPU; else in the sequence
+    int to;        ///< an XPU or a position
+    int with;      ///< whose XPU it is that takes this one's instead; or -1
+    int from_xpu;  ///< the XPU that it has
+  };
+
+  /// Nothing where what was drawn changes nothing, or cannot run in some scenario of `group`.
+  [[nodiscard]] std::optional<Change> propose(const OrderedEvaluator& now,
+                                              const std::vector<int>& group, int from,
+                                              const std::vector<int>& chain, Random& random) const {
+    const std::vector<int>& xpu = now.xpu();
+    const std::size_t n = xpu.size();
+    const int i = !chain.empty() && random.below(2) == 0 ? chain[random.below(chain.size())]
+                                                         : static_cast<int>(random.below(n));
+    const bool moves = random.below(kOneInMoves) == 0;
+    const int from_xpu = xpu[at(i)];
+    if (moves) {
+      const auto runs_on = [&](int node, int m) {
+        return std::all_of(group.begin(), group.end(), [&](int s) {
+          return problem(candidates_[at(from)], at(s)).wcet_on(node, m) != kCannotRun;
+        });
+      };
+      const int with = random.below(kOneExchanges) == 0 ? static_cast<int>(random.below(n)) : -1;
+      const int to =
+          with >= 0 ? xpu[at(with)] : static_cast<int>(random.below(platform_.xpus.size()));
+      if (to == from_xpu || !runs_on(i, to) || (with >= 0 && !runs_on(with, from_xpu))) return {};
+      return Change{i, true, to, with, from_xpu};
+    }
+    int to = static_cast<int>(random.below(n));
+    if (random.below(2) == 0) {  // nearby
+      const int here = now.position(i);
+      to = std::clamp(here + static_cast<int>(random.below(2 * kNearby + 1)) - kNearby, 0,
+                      static_cast<int>(n) - 1);
+    }
+    if (to == now.position(i)) return {};
+    return Change{i, false, to, -1, from_xpu};
+  }
+
   /// Anneals a candidate for some scenarios at once: the largest of makespan / bound.
   [[nodiscard]] TableCandidate anneal_for(const std::vector<int>& group, int from,
                                           std::uint64_t seed, double seconds) const {
@@ -359,7 +401,6 @@ class TablesSearch {
         if (ratio(k) > ratio(most)) most = k;
       return most;
     };
-    const std::size_t n = candidates_[at(from)].xpu.size();
     std::size_t limiting = worst();
     double current = ratio(limiting), best = current;
     TableCandidate found{
@@ -375,31 +416,8 @@ class TablesSearch {
         heat = std::max(heat * kTableCools, kTableCold);
         if (move % kMovesPerHeating == 0) heat = kTableHot;
       }
-      const int i = !chain.empty() && random.below(2) == 0 ? chain[random.below(chain.size())]
-                                                           : static_cast<int>(random.below(n));
-      const bool moves = random.below(kOneInMoves) == 0;
-      int to = -1,
-          with = -1;  // an XPU or a position; whose XPU it is that takes this one's instead
-      const std::vector<int>& xpu = evaluators[0].xpu();
-      const int from_xpu = xpu[at(i)];
-      if (moves) {
-        const auto runs_on = [&](int node, int m) {
-          return std::all_of(group.begin(), group.end(), [&](int s) {
-            return problem(candidates_[at(from)], at(s)).wcet_on(node, m) != kCannotRun;
-          });
-        };
-        if (random.below(kOneExchanges) == 0) with = static_cast<int>(random.below(n));
-        to = with >= 0 ? xpu[at(with)] : static_cast<int>(random.below(platform_.xpus.size()));
-        if (to == from_xpu || !runs_on(i, to) || (with >= 0 && !runs_on(with, from_xpu))) continue;
-      } else {
-        to = static_cast<int>(random.below(n));
-        if (random.below(2) == 0) {  // nearby
-          const int here = evaluators[0].position(i);
-          to = std::clamp(here + static_cast<int>(random.below(2 * kNearby + 1)) - kNearby, 0,
-                          static_cast<int>(n) - 1);
-        }
-        if (to == evaluators[0].position(i)) continue;
-      }
+      const std::optional<Change> change = propose(evaluators[0], group, from, chain, random);
+      if (!change) continue;
       const double limit = current * (1 - heat * std::log(random.unit()) * kHeatCounts);
       bool within = true;
       std::size_t tried = 0;
@@ -407,11 +425,11 @@ class TablesSearch {
       for (std::size_t step = 0; step < evaluators.size() && within; ++step) {
         const std::size_t k = step == 0 ? limiting : step <= limiting ? step - 1 : step;
         OrderedEvaluator& evaluator = evaluators[k];
-        if (moves)
-          evaluator.assign(i, to);
+        if (change->moves)
+          evaluator.assign(change->xnode, change->to);
         else
-          evaluator.reposition(i, to);
-        if (with >= 0) evaluator.assign(with, from_xpu);
+          evaluator.reposition(change->xnode, change->to);
+        if (change->with >= 0) evaluator.assign(change->with, change->from_xpu);
         ++tried;
         const auto most = static_cast<Time>(limit * static_cast<double>(bound_[at(group[k])])) + 1;
         within = evaluator.evaluate(most) != kNever;
