@@ -2,7 +2,7 @@
 // Which scenario a run with tables counts with. Asked before each release. Pure: time comes from
 // outside, so tests need none.
 //
-//   floor      the scenario that people ask for (`xauto mode`, App::request_mode), and the one that
+//   floor      the scenario that people ask for (`xauto param`, App::request_mode), and the one that
 //              the machine's clocks say (condition_watch.h)
 //   lost       XPUs from which a job did not return within its hang limit, where a scenario does
 //              without them; until people ask anew, as nothing is seen of an XPU that nobody uses
