@@ -5,7 +5,6 @@
 
 #include <xauto/result.h>
 
-#include "base/quantile.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "session/changes.h"
@@ -182,10 +181,7 @@ runtime::Distribution latencies_of(const runtime::RunReport& report) {
 }
 
 Json times(const runtime::Distribution& us) {
-  if (us.count() == 0) return {};
-  return {{"p50", us.quantile(0.5)},
-          {"p99", us.count() < kLeastOfP99 ? Json() : Json(us.quantile(0.99))},
-          {"max", us.max()}};
+  return us.count() == 0 ? Json() : runtime::quantiles_json(us);
 }
 
 microseconds quantile(const runtime::RunReport& report, const std::string& module, double q) {
@@ -263,10 +259,7 @@ std::string RunReport::json() const {
                        {"off", m.off},
                        {"unended", m.unended},
                        {"latency_us", times(m.latencies_us)}});
-  for (const runtime::ChainAccount& c : r.account.chains) {
-    chains.push_back(runtime::chain_json(c));
-    chains.elements().back()["age_us"] = times(c.age_us);
-  }
+  for (const runtime::ChainAccount& c : r.account.chains) chains.push_back(runtime::chain_json(c));
   Json json = {{"app", data_->app},
                {"good", good()},
                {"complete", r.complete},

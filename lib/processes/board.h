@@ -142,9 +142,8 @@ struct alignas(64) FlowLine {
   std::atomic<std::int64_t> sum_us{};   ///< of all latencies
   std::atomic<std::int64_t> last_ns{};  ///< when the last result came; 0: there was none
   std::atomic<std::int64_t>
-      in_time_ns{};  ///< ... that kept limit_us(); before there is one: the first
-  std::atomic<std::uint64_t>
-      lost{};  ///< of flow 0; a chain loses what its module loses, until the run ends
+      in_time_ns{};                   ///< ... that kept limit_us(); before there is one: the first
+  std::atomic<std::uint64_t> lost{};  ///< of flow 0; a chain loses what its module loses
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::int64_t> longest_urgent_us{-1};        ///< of urgent releases

@@ -7,8 +7,6 @@
 
 #include <fmt/format.h>
 
-#include "model/claims.h"
-
 namespace xauto::runtime {
 namespace {
 
@@ -44,7 +42,7 @@ class Watched {
   }
 
   void suspensions() {
-    std::vector<std::string> slow, failed;
+    std::vector<std::string> slow;
     std::uint64_t suspends = 0, resumes = 0;
     for (std::uint32_t x = 0; x < board_.shape().xpus; ++x)
       if (std::string line = board_.xpu(x).slow_suspensions(); !line.empty())
@@ -220,8 +218,13 @@ Account account_of(const Board& board) {
   Account account;
   account.goes_on = true;
   claim_on(account, static_cast<Claimed>(std::min(board.header().claimed.load(), 3U)));
-  for (std::uint32_t f = 1; f < board.shape().flows; ++f)
-    account.chains.push_back(chain_of(board.flow(f)));
+  for (std::uint32_t f = 1; f < board.shape().flows; ++f) {
+    ChainAccount& chain = account.chains.emplace_back(chain_of(board.flow(f)));
+    if (const std::uint32_t m = board.flow(f).module; m < board.shape().modules) {
+      const ModuleLine& end = board.module(static_cast<int>(m));
+      chain.lost = end.failed.load() + end.dropped.load();
+    }
+  }
   const auto spanned = board.header().spanned.read();
   account.change_exceeded = spanned && spanned->exceeds();
   add_assumptions(board, account);

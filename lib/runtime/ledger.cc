@@ -58,7 +58,7 @@ void Ledger::show_claims() {
     // Which claim a release is held against is told as it comes (Routes::claim).
     const std::vector<std::int64_t> largest_us = largest_claims(*session.tables);
     for (std::size_t i = 0; i < std::min(routes_.size(), largest_us.size()); ++i)
-      routes_.show_claim(i, {.worst_case_us = largest_us[i], .more_us = more_us(largest_us[i])});
+      routes_.show_claim(i, {.worst_case_us = largest_us[i]});
     unproven_.assign(routes_.size(), 0);
     routes_.claims_may_change();
     routes_.claim(0, claimed_by(0), more_pct());
@@ -68,8 +68,10 @@ void Ledger::show_claims() {
     std::vector<std::int64_t> worst_us(routes_.size(), 0);
     for (std::size_t i = 0; i < std::min(routes_.size(), claims.size()); ++i) {
       worst_us[i] = claims[i].worst_case_us;
-      routes_.show_claim(i, {worst_us[i], claims[i].lower_bound_us,
-                             claims[i].urgent_worst_case_us.value_or(0), more_us(worst_us[i])});
+      const std::int64_t more_us = worst_us[i] * more_pct() / 100,
+                         urgent_us = claims[i].urgent_worst_case_us.value_or(0);
+      routes_.show_claim(i, {worst_us[i], claims[i].lower_bound_us, worst_us[i] + more_us,
+                             urgent_us, urgent_us + more_us});
     }
     routes_.claim(0, std::move(worst_us), more_pct());
   }
@@ -86,10 +88,6 @@ Claimed Ledger::claimed() const {
 /// What a chain may take beside its claim.
 std::int64_t Ledger::more_pct() const {
   return context_.session.emulates() ? kEmulatorPct : 0;
-}
-
-std::int64_t Ledger::more_us(std::int64_t worst_us) const {
-  return worst_us * more_pct() / 100;
 }
 
 /// [chain] what the scenario's table claims of a release under it, once all changes before it are proven.

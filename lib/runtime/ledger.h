@@ -101,7 +101,6 @@ class Ledger {
   [[nodiscard]] std::uint64_t released_for(std::size_t module) const;
   void tell_claims(Account& into) const;
   [[nodiscard]] Claimed claimed() const;
-  [[nodiscard]] std::int64_t more_us(std::int64_t worst_us) const;
   [[nodiscard]] std::int64_t more_pct() const;
   [[nodiscard]] std::vector<std::int64_t> claimed_by(std::size_t scenario) const;
   void tell_chains(std::int64_t from_ns, std::size_t scenario);

@@ -27,6 +27,9 @@ std::vector<char> reached(const Graph& graph, int topic) {
   return seen;
 }
 
+/// Later than any deadline, and before a table without an end ends.
+constexpr std::int64_t kForGood = INT64_MAX - 1;
+
 }  // namespace
 
 Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployment& deployment,
@@ -143,10 +146,10 @@ void Routes::show_claim(std::size_t chain, const Claim& claim) {
   route.counts.worst_case_us = claim.worst_case_us;
   route.counts.lower_bound_us = claim.lower_bound_us;
   route.counts.urgent_worst_case_us = claim.urgent_worst_case_us;
-  route.urgent_allowed_us = claim.urgent_worst_case_us + claim.more_us;
+  route.urgent_allowed_us = claim.urgent_allowed_us;
   if (route.line == nullptr) return;
   route.line->worst_case_us = claim.worst_case_us;
-  route.line->allowed_us = claim.worst_case_us + claim.more_us;
+  route.line->allowed_us = claim.allowed_us;
   route.line->lower_bound_us = claim.lower_bound_us;
   route.line->urgent_worst_case_us = claim.urgent_worst_case_us;
   route.line->urgent_allowed_us = route.urgent_allowed_us;
@@ -272,9 +275,9 @@ void Routes::released(std::size_t source, std::int64_t origin_ns) {
     if (route.source != source || route.period_ns == 0) continue;
     route.unknown.push_back(origin_ns);
     if (route.unknown.size() <= kMostUnknown) continue;
-    route.unknown.pop_front();  // whoever tells of it now comes too late for any limit
-    ++route.counts.lost;
-    route.counts.deadline_misses += route.counts.deadline_us > 0 ? 1 : 0;
+    // Whoever tells of it now comes too late for any limit.
+    if (waited_for(route, route.unknown.front(), origin_ns)) lose(route.counts);
+    route.unknown.pop_front();
   }
 }
 
@@ -316,9 +319,10 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
     const auto result_of = [&](std::int64_t release_ns) {
       if (!lockstep_ || release_ns == newest_ns_) {
         count(route, release_ns, now_ns, missed_us);
-      } else if (single_rate_) {  // nothing else has come between: it was lost
-        ++route.counts.lost;
-        route.counts.deadline_misses += route.counts.deadline_us > 0 ? 1 : 0;
+      } else if (single_rate_ &&
+                 release_ns !=
+                     origin) {  // one that came after it had drained knows it: it was lost
+        lose(route.counts);
       } else {
         ++route.counts.not_measured;
       }
@@ -356,20 +360,31 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
   return missed_us;
 }
 
+/// A release has no result, and never will.
+void Routes::lose(ChainAccount& counts) {
+  ++counts.lost;
+  counts.deadline_misses += counts.deadline_us > 0 ? 1 : 0;
+}
+
+/// Whether a release that no result knows should have had one.
+bool Routes::waited_for(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const {
+  if (lockstep_ && !single_rate_) return false;  // time between releases means nothing
+  return (route.last_origin_ns != 0 || !route.through_samples) &&
+         !was_off(route, origin_ns, now_ns);
+}
+
 /// Releases that no result knows, and that were older than `limit_ns` when it was over.
 std::uint64_t Routes::unanswered(const Route& route, std::int64_t over_ns,
                                  std::int64_t limit_ns) const {
-  // In lockstep time between releases means nothing.
-  if (lockstep_ || (route.last_origin_ns == 0 && route.through_samples)) return 0;
   return static_cast<std::uint64_t>(std::count_if(
       route.unknown.begin(), route.unknown.end(),
-      [&](std::int64_t at) { return over_ns - at > limit_ns && !was_off(route, at, over_ns); }));
+      [&](std::int64_t at) { return over_ns - at > limit_ns && waited_for(route, at, over_ns); }));
 }
 
-/// What has no result, and never will.
-void Routes::lose(const Route& route, const std::vector<std::uint64_t>& lost,
-                  const Unended* unended, const std::vector<std::int64_t>& newest_ns,
-                  ChainAccount& into) const {
+/// Adds what is left without a result at the end.
+void Routes::lose_rest(const Route& route, const std::vector<std::uint64_t>& lost,
+                       const Unended* unended, const std::vector<std::int64_t>& newest_ns,
+                       ChainAccount& into) const {
   const auto module = static_cast<std::size_t>(route.module);
   const std::int64_t limit_ns = into.deadline_us * 1000;
   if (route.period_ns == 0) {  // by activations
@@ -389,7 +404,7 @@ void Routes::lose(const Route& route, const std::vector<std::uint64_t>& lost,
   const bool ends_early = route.through_samples || (unended == nullptr && !single_rate_);
   const std::int64_t over_ns = ends_early           ? newest_of_all_ns
                                : unended != nullptr ? unended->at_ns
-                                                    : INT64_MAX;
+                                                    : kForGood;
   const std::int64_t may_wait_ns =
       1000 * std::max({into.deadline_us, into.worst_case_us, into.longest_us});
   into.lost += unanswered(route, over_ns, ends_early ? may_wait_ns : 0);
@@ -403,7 +418,7 @@ std::vector<ChainAccount> Routes::report(const std::vector<std::uint64_t>& lost,
   const Guard lock(*mutex_);
   for (const Route& route : routes_) {
     result.push_back(route.counts);
-    lose(route, lost, unended, newest_ns, result.back());
+    lose_rest(route, lost, unended, newest_ns, result.back());
   }
   return result;
 }

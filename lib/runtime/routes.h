@@ -72,10 +72,11 @@ class Routes {
   std::optional<std::int64_t> published(int node, std::int64_t origin_ns,
                                         const detail::Origins* origins, std::int64_t now_ns,
                                         bool urgent = false);
-  /// What the policy claims of a chain, and what it may take; before the run. 0: nothing.
+  /// What the policy claims of a chain, and what a result may take, with the emulator's own part; before the run.
+  /// 0: nothing; `allowed_us` also where each release has a claim of its own.
   struct Claim {
-    std::int64_t worst_case_us = 0, lower_bound_us = 0, urgent_worst_case_us = 0;
-    std::int64_t more_us = 0;  ///< the emulator's own part
+    std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
+    std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;
   };
   void show_claim(std::size_t chain, const Claim& claim);
   /// Releases of the chains' sources from `from_ns` on, until that of the next call, are said to take at
@@ -147,8 +148,11 @@ class Routes {
   void meet(const Claims& claims, std::size_t chain, std::int64_t us);
   [[nodiscard]] std::uint64_t unanswered(const Route& route, std::int64_t over_ns,
                                          std::int64_t limit_ns) const;
-  void lose(const Route& route, const std::vector<std::uint64_t>& lost, const Unended* unended,
-            const std::vector<std::int64_t>& newest_ns, ChainAccount& into) const;
+  static void lose(ChainAccount& counts);
+  [[nodiscard]] bool waited_for(const Route& route, std::int64_t origin_ns,
+                                std::int64_t now_ns) const;
+  void lose_rest(const Route& route, const std::vector<std::uint64_t>& lost, const Unended* unended,
+                 const std::vector<std::int64_t>& newest_ns, ChainAccount& into) const;
   [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
   struct Have {
     std::int64_t from_ns = 0;

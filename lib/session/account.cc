@@ -13,13 +13,6 @@
 namespace xauto::runtime {
 namespace {
 
-Json quantiles(const Distribution& us) {
-  if (us.count() == 0) return {{"p50", Json()}, {"p99", Json()}, {"max", Json()}};
-  return {{"p50", us.quantile(0.5)},
-          {"p99", us.count() < kLeastOfP99 ? Json() : Json(us.quantile(0.99))},
-          {"max", us.max()}};
-}
-
 /// By how much the worst result was longer than what is claimed of it.
 std::int64_t exceeded_by_us(const std::vector<ChainAccount>& chains) {
   std::int64_t by_us = 0;
@@ -155,10 +148,15 @@ void claim_on(Account& account, Claimed claimed) {
       account.scope = kOneAtATimeScope;
       return;
     case Claimed::kUncertified:
-      account.why_nothing =
-          "nothing is claimed: the policy is not certified (`xauto solve` says what would make it "
-          "so)";
+      account.why_nothing = kNotCertified;
   }
+}
+
+Json quantiles_json(const Distribution& us) {
+  if (us.count() == 0) return {{"p50", Json()}, {"p99", Json()}, {"max", Json()}};
+  return {{"p50", us.quantile(0.5)},
+          {"p99", us.count() < kLeastOfP99 ? Json() : Json(us.quantile(0.99))},
+          {"max", us.max()}};
 }
 
 Json claims_json(const Account& account) {
@@ -182,7 +180,8 @@ Json chain_json(const ChainAccount& chain) {
   Json json = {{"name", chain.name},
                {"results", chain.results()},
                {"lost", chain.lost},
-               {"latency_us", quantiles(chain.latency_us)}};
+               {"latency_us", quantiles_json(chain.latency_us)},
+               {"age_us", quantiles_json(chain.age_us)}};
   if (!chain.from.empty()) {
     json["from"] = chain.from;
     json["to"] = chain.to;
@@ -204,6 +203,10 @@ Json chain_json(const ChainAccount& chain) {
     json["exceeded_by"] = {{"latency_us", chain.over_us}, {"worst_case_us", chain.over_claimed_us}};
   if (chain.lower_bound_us > 0) json["lower_bound_us"] = chain.lower_bound_us;
   if (chain.urgent_worst_case_us > 0) json["urgent_worst_case_us"] = chain.urgent_worst_case_us;
+  if (chain.urgent_us.count() > 0) {
+    json["urgent_results"] = chain.urgent_us.count();
+    json["urgent_us"] = quantiles_json(chain.urgent_us);
+  }
   if (chain.not_measured > 0) json["not_measured"] = chain.not_measured;
   return json;
 }

@@ -68,6 +68,9 @@ enum class Claimed : std::uint8_t {
   kUncertified,  ///< nothing: the policy is not certified, and says so
 };
 
+inline constexpr const char* kNotCertified =
+    "nothing is claimed: the policy is not certified (`xauto solve` says what would make it so)";
+
 /// What became of what is claimed.
 enum class Verdict : std::uint8_t {
   kNothingClaimed,
@@ -118,6 +121,8 @@ struct Account {
 /// Sets `scope`, or why there is none.
 void claim_on(Account& account, Claimed claimed);
 
+/// p50, p99 and max; null where there are too few values.
+[[nodiscard]] Json quantiles_json(const Distribution& us);
 /// The member `claims` of everything that tells of a run (docs/formats.md).
 [[nodiscard]] Json claims_json(const Account& account);
 /// A chain of `chains`.

@@ -113,10 +113,8 @@ Counts counts_of(const runtime::Board& board) {
   counts.whole = flow_of(board.flow(0), runtime::chain_of(board.flow(0)));
   for (std::uint32_t f = 1; f < shape.flows; ++f) {
     counts.chains.push_back(flow_of(board.flow(f), counts.account.chains[f - 1]));
-    if (const std::uint32_t module = board.flow(f).module; module < shape.modules) {
-      counts.chains.back().lost = counts.modules[module].failed + counts.modules[module].dropped;
+    if (const std::uint32_t module = board.flow(f).module; module < shape.modules)
       counts.chains.back().off = counts.modules[module].off;
-    }
   }
   for (std::uint32_t x = 0; x < shape.xpus; ++x) {
     const runtime::XpuLine& line = board.xpu(x);

@@ -59,10 +59,8 @@ Status check_gate(const RunFlags& flags, const PolicyRun& run) {
     return fail(ErrorCode::kInvalid, "no XNode has a limit past which it hangs", "--fail-on hang",
                 "give `hang_us` or `hang_pct` in the deployment");
   if (asks(flags, "claim") && run.scheduling == runtime::Scheduling::kXAuto && run.uncertified())
-    return fail(ErrorCode::kInvalid,
-                "nothing is claimed: the policy is not certified (`xauto solve` says what would "
-                "make it so)",
-                "--fail-on claim", "leave it out, or run a certified policy");
+    return fail(ErrorCode::kInvalid, runtime::kNotCertified, "--fail-on claim",
+                "leave it out, or run a certified policy");
   const bool claimed = run.keys || run.tables;
   if (asks(flags, "claim") && (run.scheduling != runtime::Scheduling::kXAuto || !claimed))
     return fail(ErrorCode::kInvalid, "the run claims no worst case", "--fail-on claim",

@@ -35,12 +35,6 @@ Json p99_of(const Latency& l) {
   return has_p99(l) ? Json(l.p99_us) : Json();
 }
 
-Json quantiles_json(const runtime::Distribution& us) {
-  const Latency l = summarise(us);
-  return {
-      {"p50", or_null(l.p50_us, l.count)}, {"p99", p99_of(l)}, {"max", or_null(l.max_us, l.count)}};
-}
-
 /// "-" where nothing was measured.
 std::string in_ms(std::int64_t us, std::size_t count) {
   return count == 0 ? "-" : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
@@ -347,15 +341,8 @@ Json modules_json(const PolicyRun& run) {
 
 Json chains_json(const PolicyRun& run) {
   Json chains = Json::array();
-  for (const runtime::ChainAccount& r : run.report.account.chains) {
-    Json chain = runtime::chain_json(r);
-    chain["age_us"] = quantiles_json(r.age_us);
-    if (r.urgent_us.count() > 0) {
-      chain["urgent_results"] = r.urgent_us.count();
-      chain["urgent_us"] = quantiles_json(r.urgent_us);
-    }
-    chains.push_back(std::move(chain));
-  }
+  for (const runtime::ChainAccount& chain : run.report.account.chains)
+    chains.push_back(runtime::chain_json(chain));
   return chains;
 }
 

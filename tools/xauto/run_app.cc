@@ -59,7 +59,8 @@ const std::atomic<bool>* StopOnSignal::flag() const {
 
 void RunFlags::declare(Verb verb) {
   verb.option("--app", app_path, "app.json: the XNodes and their WCETs").required();
-  verb.option("--platform", platform, kPlatformNames).shown_as("the policy's, else small");
+  verb.option("--platform", platform, kPlatformNames)
+      .shown_as("the policy's, if there is one; else small");
   verb.option("--activations", activations,
               "releases of the slowest sensor, the others as many as fit into "
               "that time; 0: until Ctrl-C or the input's end")

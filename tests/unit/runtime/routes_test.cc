@@ -136,8 +136,8 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
 }
 
 /// Of an app of rates: sources and XNodes every 100 us, and Log samples what Fuse makes.
-Result<Routes> log_samples(std::vector<ChainSpec> chains) {
-  Graph graph = make_graph(false);
+Result<Routes> log_samples(std::vector<ChainSpec> chains, bool single_rate = false) {
+  Graph graph = make_graph(single_rate);
   graph.sources = {{"lidar", {100}}, {"camera", {100}}};
   graph.modules[0].component = graph.modules[1].component = 0;
   graph.modules[2].component = 1;
@@ -337,6 +337,47 @@ TEST(Routes, ResultsAndLostAreTheReleases) {
   EXPECT_EQ(chain.lost, 3u) << "1700 to 1900: the camera went on";
   EXPECT_EQ(chain.deadline_misses, 5u)
       << "1200 and 1300, whose result came at 1650; and 1700 to 1900";
+}
+
+/// A chain that a table does not have loses nothing, however long it is gone; what it lost before stays lost.
+TEST(Routes, WhatIsOffIsNotLost) {
+  auto routes = log_samples({{"to Fuse", 0, 0, 250}});
+  ASSERT_TRUE(routes);
+  routes->released(0, 1'000'000);
+  detail::Origins origins{};
+  origins[0] = 1'000'000;
+  routes->published(0, 1, &origins, 1'050'000);
+  routes->released(0, 1'100'000);  // dropped
+  routes->have(1'200'000, {0});
+  for (std::int64_t us = 1'200; us < 301'200; us += 100) routes->released(0, us * 1000);
+  const ChainAccount chain = routes->report({9, 0, 0}, nullptr, {301'100'000, 0}).at(0);
+  EXPECT_EQ(chain.lost, 1u);
+  EXPECT_EQ(chain.deadline_misses, 1u);
+}
+
+/// In lockstep a release is lost if a result of the one after it is the first to know it, or if none does. A source with
+/// an offset is not: its release is the newest of its own.
+TEST(Routes, InLockstepWhatIsLostIsCountedToo) {
+  auto routes = log_samples({{"lidar", 0, 0, 250}, {"camera", 1, 0, 250}}, true);
+  ASSERT_TRUE(routes);
+  routes->in_lockstep();
+  for (int k = 0; k < 5; ++k) {
+    const std::int64_t lidar_ns = 1'000'000 + k * 100'000, camera_ns = lidar_ns + 30'000;
+    routes->released(0, lidar_ns);
+    routes->released(1, camera_ns);
+    if (k == 1 || k == 4) continue;  // the release has no result
+    detail::Origins origins{};
+    origins[0] = lidar_ns;
+    origins[1] = camera_ns;
+    routes->published(0, 1, &origins, camera_ns + 20'000);
+  }
+  const auto chains = routes->report({2, 0, 0}, nullptr, {1'400'000, 1'430'000});
+  EXPECT_EQ(chains.at(1).results(), 3u);
+  EXPECT_EQ(chains.at(0).results() + chains.at(0).not_measured, 3u) << "the camera came after it";
+  for (const ChainAccount& chain : chains) {
+    EXPECT_EQ(chain.lost, 2u) << chain.name;
+    EXPECT_EQ(chain.deadline_misses, 2u) << chain.name;
+  }
 }
 
 /// By tables a release is held against what is claimed of it, by when it was released.
