@@ -38,7 +38,7 @@ pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
 pkg_check_modules(LZ4 REQUIRED IMPORTED_TARGET liblz4)
 pkg_check_modules(ZSTD REQUIRED IMPORTED_TARGET libzstd)
 
-# Timelines in Perfetto's format: lib/story only.
+# Traces in Perfetto's format: lib/story only.
 find_package(Protobuf 3.12 REQUIRED)
 
 # Topics to and from DDS: lib/transport/cyclonedds only, a plug-in.

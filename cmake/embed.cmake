@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # xauto_embed(TARGET HEADER FILE...): the text of each FILE as a constant in HEADER, which TARGET includes by that name: of
-# "story/timeline.css" it is kTimelineCss. The first line, the licence, stays out. As a script (cmake -P) it writes the header.
+# "story/page.css" it is kPageCss. The first line, the licence, stays out. As a script (cmake -P) it writes the header.
 if(CMAKE_SCRIPT_MODE_FILE)
   set(text "// Made by cmake/embed.cmake.\n#pragma once\n\n")
   foreach(file ${FILES})

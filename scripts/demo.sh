@@ -36,4 +36,4 @@ for policy in one two; do
 done
 python3 scripts/demo-tables.py "$tables"/one-report.json "$tables"/two-report.json
 echo
-echo "Next: open $build/demo/timeline.html in a browser; README.md tells how to schedule an app of your own."
+echo "Next: open $build/demo/rates/report.html in a browser; README.md tells how to schedule an app of your own."

@@ -45,7 +45,7 @@ compile() { within ninja -C /build -j"${JOBS:-2}"; }
 units() { within env -C /build ctest -j"${JOBS:-2}" -L 'unit|fuzz' -LE long --timeout 300 --repeat until-pass:2 --output-on-failure; }
 demo() {
   within env CONFIGURED=/build JOBS="${JOBS:-2}" bash /source/scripts/demo.sh
-  [ -s "$out/build/demo/timeline.html" ] && [ -s "$out/build/demo/rates/timeline.html" ]
+  [ -s "$out/build/demo/report.html" ] && [ -s "$out/build/demo/rates/report.html" ]
 }
 
 check "a Debian 11 root" make_root || { plan; exit 1; }

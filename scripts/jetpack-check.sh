@@ -99,9 +99,9 @@ solve() {
 figures() { grep -oE '"(release|worst_case|lower_bound)_us": *[0-9]+' | tr -d ' ' | tr '\n' ' '; }
 demo() {
   "$tool" compare --app examples/driving/app.json --platform small --overload queue:8 --activations 20 --out "$out/demo" -- "$tree/apps/driving"
-  [ -s "$out/demo/timeline.html" ]
+  [ -s "$out/demo/report.html" ]
   "$tool" compare --app examples/driving/rates.json --platform small --seconds 2 --time-limit-s 2 --out "$out/demo/rates" -- "$tree/apps/driving-rates"
-  [ -s "$out/demo/rates/timeline.html" ]
+  [ -s "$out/demo/rates/report.html" ]
 }
 # As on a board, with a compiler as old as we promise and no header but ours.
 template() {

@@ -17,7 +17,7 @@ echo "pedestrians: solve"
 build/bin/xauto solve --app $out/app.json --platform $platform --time-limit-s 5 --out $out/policy.json
 echo "pedestrians: run"
 build/bin/xauto run --real --lockstep --activations 60 --app $out/app.json --platform $platform \
-  --policy $out/policy.json --timeline $out/timeline.html -- "${app[@]}"
+  --policy $out/policy.json --page $out/report.html -- "${app[@]}"
 python3 examples/pedestrians/check.py $out/detections.json tests/golden/pedestrians.json
 echo
-echo "Look at $out/annotated.png (tracks and predicted paths) and $out/timeline.html (the schedule)."
+echo "Look at $out/annotated.png (tracks and predicted paths) and $out/report.html (where the time went)."

@@ -74,11 +74,11 @@ for sched in fifo other; do
     runs+=("$sched-$policy")
     # Frames may be lost: that is what is measured.
     build/bin/xauto run --real --cpu-sched $sched --activations "$frames" --app "$out/app.json" --platform $platform \
-      --policy "$out/$policy.json" --out "$out/$sched-$policy.json" --timeline "$out/$sched-$policy.html" -- "${app[@]}" "$out" 256 tiny-320 \
+      --policy "$out/$policy.json" --out "$out/$sched-$policy.json" --page "$out/$sched-$policy.html" -- "${app[@]}" "$out" 256 tiny-320 \
       >"$out/$sched-$policy.txt" 2>"$out/$sched-$policy.log" || [ -s "$out/$sched-$policy.json" ] || { cat "$out/$sched-$policy.log" >&2; exit 1; }
   done
 done
 stop_burner
 python3 examples/perception/report.py runs "$out" "${runs[@]}"
 echo
-echo "Look at build/perception/frame-25.png (lines, faces, tracks) and build/perception/fifo-tables.html (the schedule)."
+echo "Look at build/perception/frame-25.png (lines, faces, tracks) and build/perception/fifo-tables.html (where the time went)."

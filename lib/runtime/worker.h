@@ -201,7 +201,7 @@ class Worker {
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
   void begin_timed(const Placed& placed, std::uint64_t sequence);
-  [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns, XNodeLine& line);
+  [[nodiscard]] std::int64_t on_core_ns(const Placed& placed, std::int64_t wall_ns);
   void tell_waited(std::int64_t without_core_ns, XNodeLine& line);
   [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;

@@ -17,6 +17,7 @@ namespace {
 
 constexpr const char *kSuspendCall = "suspend", *kResumeCall = "resume";
 constexpr std::int64_t kStuckCallNs = 1'000'000'000;
+constexpr std::int64_t kWorthTellingNs = 50'000;  ///< to the trace: shorter ones explain nothing
 
 }  // namespace
 
@@ -191,12 +192,16 @@ std::int64_t Worker::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
 /// Of a job on a real core, whom the kernel preempts unseen: all of its time but for what it waited in a
 /// run queue. A WCET was measured so, with nobody to wait for: an exec that sleeps for a lock or a file
 /// is on its core.
-std::int64_t Worker::on_core_ns(std::int64_t wall_ns, XNodeLine& line) {
+std::int64_t Worker::on_core_ns(const Placed& placed, std::int64_t wall_ns) {
   const std::int64_t since_ns = without_core_since_ns_.load();
   if (since_ns < 0) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
   const std::int64_t until_ns = rt::without_core_ns().value_or(since_ns);
-  tell_waited(until_ns, line);
-  return std::max<std::int64_t>(0, wall_ns - (until_ns - since_ns));
+  tell_waited(until_ns, *placed.line);
+  const std::int64_t others_ns = until_ns - since_ns;
+  if (others_ns >= kWorthTellingNs)
+    record(XAUTO_EV_NO_CORE, placed, chain_.activation->sequence(),
+           static_cast<std::uint32_t>(std::min<std::int64_t>(others_ns / 1000, UINT32_MAX)));
+  return std::max<std::int64_t>(0, wall_ns - others_ns);
 }
 
 /// Since the job before, its wake-up included. Who is more urgent on its core has slept before it runs again,
@@ -229,7 +234,7 @@ bool Worker::end_timed(const Placed& placed) {
   if (holds_) options_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
   if (!placed.limited) return true;
   const std::int64_t took_ns =
-      backend_->on_thread() ? on_core_ns(wall_ns, *placed.line) : own_ns(wall_ns, now);
+      backend_->on_thread() ? on_core_ns(placed, wall_ns) : own_ns(wall_ns, now);
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
   if (placed.watched) line.saw(took_ns, placed.table);
   line.jobs.fetch_add(1, std::memory_order_relaxed);

@@ -70,15 +70,18 @@ class Tracer {
   }
 
   /// After trace_back: what became of the release itself, where what it found is of a newer one.
-  void follow(std::size_t release, std::int64_t until_ns, ChainStory& into) const {
+  void follow(std::size_t release, std::int64_t until_ns,
+              const std::pair<std::int64_t, std::string>& end, ChainStory& into) const {
     std::set<std::string> on_the_way;
     for (const StoryJob& job : into.jobs) on_the_way.insert(job.xnode);
     const TraceRelease& itself = trace_.releases[release];
     const std::set<Job> knows = made_of(until_ns, [&](int r) { return at(r) == release; });
-    const std::set<Job> newer = made_of(until_ns, [&](int r) {
+    const auto is_newer = [&](int r) {
       const TraceRelease& other = trace_.releases[at(r)];
       return other.source == itself.source && other.number > itself.number;
-    });
+    };
+    const std::set<Job> newer = made_of(until_ns, is_newer);
+    find_way(release, end, knows, newer, into);
     for (const auto& [key, parts] : parts_) {
       const TraceSlice& first = trace_.run[parts.front()];
       if (seen_.contains(key) || !on_the_way.contains(first.name) || first.begin_ns >= until_ns)
@@ -96,6 +99,95 @@ class Tracer {
 
  private:
   using Job = std::pair<std::int64_t, std::string>;  ///< (activation, XNode)
+
+  /// Writes `way` from its end to its begin.
+  class Way {
+   public:
+    Way(ChainStory& into, std::int64_t reaction_us) : into_(into), from_us_(reaction_us) {}
+    /// What went on since then, until what is there already.
+    void back_to(std::int64_t us, SpentOn on, int job) {
+      us = std::max<std::int64_t>(us, 0);
+      if (us >= from_us_) return;
+      into_.way.insert(into_.way.begin(), Spent{on, job, us, from_us_});
+      from_us_ = us;
+    }
+    [[nodiscard]] bool done() const { return from_us_ <= 0; }
+
+   private:
+    ChainStory& into_;
+    std::int64_t from_us_;
+  };
+
+  static void add_job(const StoryJob& job, int index, Way& way) {
+    std::int64_t off_since_us = job.ended_us;
+    for (auto part = job.parts.rbegin(); part != job.parts.rend(); ++part) {
+      way.back_to(part->second, SpentOn::kSuspended, index);
+      if (part == job.parts.rbegin() && job.without_core_us > 0)
+        way.back_to(part->second - std::min(job.without_core_us, part->second - part->first),
+                    SpentOn::kNoCore, index);
+      way.back_to(part->first, SpentOn::kRunning, index);
+      off_since_us = part->first;
+    }
+    const std::int64_t free_us =
+        std::min(off_since_us, std::max(job.ready_us, job.held_until_us.value_or(job.ready_us)));
+    way.back_to(free_us, SpentOn::kWaiting, index);
+    way.back_to(job.ready_us, SpentOn::kHeld, index);
+  }
+
+  void find_way(std::size_t release, const Job& end, const std::set<Job>& knows,
+                const std::set<Job>& newer, ChainStory& into) const {
+    std::map<Job, int> index;
+    for (std::size_t j = 0; j < into.jobs.size(); ++j)
+      index[{into.jobs[j].activation, into.jobs[j].xnode}] = static_cast<int>(j);
+    const TraceRelease& itself = trace_.releases[release];
+    // The last of those that know the release itself: of all that a result is made of, the oldest counts. Where none
+    // does, of those that know a newer one.
+    const auto rank_of = [&](int j) {
+      const StoryJob& job = into.jobs[at(j)];
+      return std::pair{knows.contains({job.activation, job.xnode}), job.ended_us};
+    };
+    const auto later = [&](int best, const Job& job) {
+      const auto found = index.find(job);
+      if (found == index.end() || !(knows.contains(job) || newer.contains(job))) return best;
+      return best < 0 || rank_of(found->second) >= rank_of(best) ? found->second : best;
+    };
+    const auto job_of_slice = [&](int slice) {
+      return Job{trace_.run[at(slice)].activation, trace_.run[at(slice)].name};
+    };
+    int job = index.at(end);
+    bool at_release = false;
+    Way way(into, into.reaction_us);
+    std::set<int> been;
+    while (job >= 0 && been.insert(job).second && !way.done()) {
+      const StoryJob& here = into.jobs[at(job)];
+      way.back_to(here.ended_us, SpentOn::kUntaken, job);
+      add_job(here, job, way);
+      const TraceSlice& first = trace_.run[parts_.at({here.activation, here.xnode}).front()];
+      int before = -1;
+      for (const int slice : first.from) before = later(before, job_of_slice(slice));
+      std::int64_t released_us =
+          -1;  // of a sensor's message that it has read itself: the oldest that counts
+      const auto reads = [&](int r) {
+        const TraceRelease& other = trace_.releases[at(r)];
+        if (other.source != itself.source || other.number < itself.number) return;
+        const std::int64_t us = since(other.begin_ns);
+        released_us = released_us < 0 ? us : std::min(released_us, us);
+      };
+      for (const int r : first.releases) reads(r);
+      const bool fired = released_us >= 0;
+      for (const TraceSample& sample : first.samples) {
+        if (sample.slice >= 0) before = later(before, job_of_slice(sample.slice));
+        if (sample.release >= 0) reads(sample.release);
+      }
+      if (released_us >= 0 && (before < 0 || (released_us == 0 && !rank_of(before).first))) {
+        before = -1;
+        way.back_to(released_us, fired ? SpentOn::kSource : SpentOn::kUntaken, -1);
+        at_release = true;
+      }
+      job = before;
+    }
+    way.back_to(0, at_release ? SpentOn::kMissed : SpentOn::kUntold, -1);
+  }
 
   /// The jobs until then that are made of such a release.
   template <class Is>
@@ -152,6 +244,7 @@ class Tracer {
     job.module = first.module;
     job.xpu = trace_.rows[at(first.row)];
     job.number = first.release;
+    job.activation = first.activation;
     job.began_us = since(first.begin_ns);
     job.ready_us = job.began_us - first.waited_us;
     job.ended_us = since(last.end_ns);
@@ -159,6 +252,7 @@ class Tracer {
     for (const std::size_t part : parts) {
       const TraceSlice& piece = trace_.run[part];
       job.ran_us += (piece.end_ns - piece.begin_ns) / 1000;
+      job.parts.emplace_back(since(piece.begin_ns), since(piece.end_ns));
       for (const Blocker& by : on_row(first, off_ns, piece.begin_ns)) add(job.preempted_by, by);
       off_ns = piece.end_ns;
     }
@@ -171,6 +265,7 @@ class Tracer {
     if (job.began_us > free_us)
       job.waited_for = on_row(first, zero_ns_ + free_us * 1000, first.begin_ns);
     job.lateness_us = last.lateness_us;
+    job.without_core_us = std::min(last.without_core_us, job.ran_us);
     for (const TraceSample& sample : first.samples)
       job.reads.push_back({sample.read, sample.number, since(sample.at_ns), sample.age_us});
     return job;
@@ -200,7 +295,64 @@ std::string or_dash(const std::optional<std::int64_t>& us, bool sign = false) {
   return sign ? fmt::format("{:+.3f}", static_cast<double>(*us) / 1000) : in_ms(*us);
 }
 
+/// What it waited for, of one stretch on the way: the most of it, or nothing.
+std::string whom_of(const ChainStory& story, const Spent& spent) {
+  if (spent.job < 0) return {};
+  const StoryJob& job = story.jobs[at(spent.job)];
+  const std::vector<Blocker>& list =
+      spent.on == SpentOn::kWaiting ? job.waited_for : job.preempted_by;
+  return list.empty() ? "" : list.front().who;
+}
+
 }  // namespace
+
+const char* to_string(SpentOn on) {
+  switch (on) {
+    case SpentOn::kMissed:
+      return "missed, waiting for the next release";
+    case SpentOn::kSource:
+      return "source late";
+    case SpentOn::kHeld:
+      return "held";
+    case SpentOn::kWaiting:
+      return "waiting";
+    case SpentOn::kRunning:
+      return "running";
+    case SpentOn::kSuspended:
+      return "off the XPU";
+    case SpentOn::kNoCore:
+      return "not run by the kernel";
+    case SpentOn::kUntaken:
+      return "made, and not yet taken";
+    case SpentOn::kUntold:
+      break;
+  }
+  return "not told by the trace";
+}
+
+std::string way_text(const ChainStory& story) {
+  std::map<SpentOn, std::int64_t> sums;
+  std::map<SpentOn, const Spent*> longest;
+  for (const Spent& spent : story.way) {
+    sums[spent.on] += spent.end_us - spent.begin_us;
+    const Spent*& most = longest[spent.on];
+    if (most == nullptr || spent.end_us - spent.begin_us > most->end_us - most->begin_us)
+      most = &spent;
+  }
+  std::vector<std::pair<SpentOn, std::int64_t>> list(sums.begin(), sums.end());
+  std::stable_sort(list.begin(), list.end(),
+                   [](const auto& a, const auto& b) { return a.second > b.second; });
+  std::string out = in_ms(story.reaction_us) + " ms";
+  bool first = true;
+  for (const auto& [on, us] : list) {
+    if (us < kWorthSayingUs) continue;
+    out += (std::exchange(first, false) ? ": " : ", ") + in_ms(us) + " " + to_string(on);
+    if (on != SpentOn::kWaiting && on != SpentOn::kSuspended) continue;
+    if (const std::string whom = whom_of(story, *longest.at(on)); !whom.empty())
+      out += fmt::format(" (the most for {})", whom);
+  }
+  return out;
+}
 
 std::string in_ms(std::int64_t us) {
   return fmt::format("{:.3f}", static_cast<double>(us) / 1000);
@@ -249,7 +401,8 @@ Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
       });
   if (itself != trace.releases.end())
     tracer.follow(static_cast<std::size_t>(itself - trace.releases.begin()),
-                  release.released_ns + release.reaction_us * 1000, story);
+                  release.released_ns + release.reaction_us * 1000,
+                  {release.activation, release.xnode}, story);
   return story;
 }
 
@@ -270,6 +423,8 @@ std::string reasons_of(const StoryJob& job) {
       off_us >= kWorthSayingUs)
     say("off the XPU for " + in_ms(off_us) + " ms" +
         (job.preempted_by.empty() ? "" : ", preempted by " + names_of(job.preempted_by, off_us)));
+  if (job.without_core_us >= kWorthSayingUs)
+    say("for " + in_ms(job.without_core_us) + " ms the kernel ran others on its core");
   return out;
 }
 
@@ -279,8 +434,9 @@ std::string story_text(const ChainStory& story) {
                                 in_ms(story.reaction_us));
   out += story.rank == 1 ? fmt::format("the longest of {}", story.of)
                          : fmt::format("number {} from the longest of {}", story.rank, story.of);
-  out += fmt::format("; the median is {}.\n  {}\n\n  All in ms since that release.\n\n",
-                     in_ms(story.median_us), story.note);
+  out += fmt::format("; the median is {}.\n  {}\n", in_ms(story.median_us), story.note);
+  if (!story.way.empty()) out += "  On its way, " + way_text(story) + ".\n";
+  out += "\n  All in ms since that release.\n\n";
   std::size_t width = 12;
   for (const StoryJob& job : story.jobs) width = std::max(width, job.xnode.size());
   for (const StorySensor& sensor : story.sensors) width = std::max(width, sensor.source.size() + 7);

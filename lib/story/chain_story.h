@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <xauto/result.h>
@@ -32,7 +33,7 @@ struct StoryRead {
 /// older.
 struct StoryJob {
   std::string xnode, module, xpu;
-  std::int64_t number = 0;
+  std::int64_t number = 0, activation = -1;  ///< activation: as TraceSlice's
   std::int64_t ready_us = 0, began_us = 0, ended_us = 0, ran_us = 0;
   std::optional<std::int64_t> released_us, key_us;  ///< of its activation, by its policy
   std::optional<std::int64_t> held_until_us;        ///< likewise; nullopt: it was not held
@@ -41,6 +42,28 @@ struct StoryJob {
   std::vector<Blocker> preempted_by;        ///< ... between its begin and its end, when it had not
   std::optional<std::int64_t> lateness_us;  ///< end less key; negative: early
   std::vector<StoryRead> reads;
+  std::vector<std::pair<std::int64_t, std::int64_t>> parts;  ///< begin and end of each on the XPU
+  std::int64_t without_core_us = 0;  ///< of `ran_us`: the kernel ran somebody else on its core
+};
+
+/// What a stretch of a release's time went to.
+enum class SpentOn : std::uint8_t {
+  kMissed,     ///< the release came to nothing of its own: what made the result is of a newer one
+  kSource,     ///< its source was late
+  kHeld,       ///< its policy held the job
+  kWaiting,    ///< ready, and another had the XPU
+  kRunning,    ///< on the XPU
+  kSuspended,  ///< begun, and off the XPU
+  kNoCore,     ///< the kernel ran somebody else on the job's core; where in the job is not known
+  kUntaken,  ///< made, and not yet taken: who comes next has not read it, or waits for its other inputs
+  kUntold,  ///< the trace does not say
+};
+[[nodiscard]] const char* to_string(SpentOn on);  ///< "held", for people
+
+struct Spent {
+  SpentOn on = SpentOn::kRunning;
+  int job = -1;  ///< index into ChainStory::jobs; of kUntaken who made it; -1: none
+  std::int64_t begin_us = 0, end_us = 0;
 };
 
 struct StorySensor {
@@ -59,6 +82,9 @@ struct ChainStory {
   /// began after it and had neither it nor a newer one.
   std::vector<StoryJob> own, missed;
   bool cut = false;  ///< it goes back further than kMostStoryJobs
+  /// All of its time, without a gap from 0 to `reaction_us`: back from the last job to the release, each time along
+  /// the last of what the job is made of and knows the release, or a newer one.
+  std::vector<Spent> way;
 };
 
 inline constexpr std::size_t kMostStoryJobs = 500;
@@ -80,6 +106,9 @@ inline constexpr std::int64_t kWorthSayingUs = 50;
 
 /// Why a job did not end sooner, in words; empty: nothing but its work.
 [[nodiscard]] std::string reasons_of(const StoryJob& job);
+
+/// "48.900 ms: running 26.100, waiting 9.800, held 3.000": the most first.
+[[nodiscard]] std::string way_text(const ChainStory& story);
 
 /// For people, without the verdict on the claims.
 [[nodiscard]] std::string story_text(const ChainStory& story);

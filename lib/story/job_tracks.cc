@@ -52,6 +52,7 @@ void paint_counts(PerfettoWriter& out, Track group, const ChainCounts& counts,
   add("lower_bound_us", counts.lower_bound_us);
   add("deadline_us", counts.deadline_us);
   add("misses", counts.misses);
+  add("lost", counts.lost);
   if (counts.exceeded) add("exceeded", 1);
   out.instant(group, begin_ns, "chain '" + counts.name + "' in the whole run", std::move(details));
 }

@@ -247,6 +247,8 @@ class Painter {
         }
         run_.push_back(std::move(piece));
       }
+      if (first_[j] >= 0 && job.without_core_us > 0)
+        last_piece(j)->args.emplace_back("without_core_us", job.without_core_us);
       if (scene_.keys == nullptr || first_[j] < 0) continue;
       const auto window = window_of(app_, *scene_.keys, story_, job);
       if (!window) continue;
@@ -622,7 +624,7 @@ Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene, const
                                    std::int64_t clock_offset_ns) {
   for (const int row : scene.row_of)
     if (row < 0 || static_cast<std::size_t>(row) >= scene.rows.size())
-      return fail(ErrorCode::kInternal, "an XPU has no row", "timeline");
+      return fail(ErrorCode::kInternal, "an XPU has no row", "trace");
   return Painter(app, scene, story).paint(clock_offset_ns);
 }
 

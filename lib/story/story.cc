@@ -118,7 +118,7 @@ class Reader {
       return false;
     if (e.kind == XAUTO_EV_PUBLISH) return source_of(e.arg & ~XAUTO_RELEASE_URGENT) >= 0;
     if (e.kind == XAUTO_EV_SWITCH) return true;
-    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HELD_UP || e.module >= modules_.size())
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_NO_CORE || e.module >= modules_.size())
       return false;
     if (e.kind == XAUTO_EV_TAKE || e.kind == XAUTO_EV_SAMPLE)
       return source_of(e.arg) >= 0 || e.arg < modules_.size();
@@ -181,6 +181,9 @@ class Reader {
     switch (e.kind) {
       case XAUTO_EV_START:
         job->held_us = e.arg;
+        break;
+      case XAUTO_EV_NO_CORE:
+        job->without_core_us = e.arg;
         break;
       case XAUTO_EV_RUN:
         give_samples(e);

@@ -34,8 +34,9 @@ struct Phase {
 struct JobStory {
   int xnode = -1, module = -1, xpu = -1;
   std::uint64_t sequence = 0;
-  std::vector<Phase> phases;  ///< one after the other, at least one
-  std::int64_t held_us = 0;   ///< of its waiting, from the first on: its policy held it
+  std::vector<Phase> phases;         ///< one after the other, at least one
+  std::int64_t held_us = 0;          ///< of its waiting, from the first on: its policy held it
+  std::int64_t without_core_us = 0;  ///< of a job on a real core: the kernel ran others there
   bool failed = false;
   bool complete = false;  ///< its FINISH is in the trace
   int activation = -1;    ///< index into Story::activations; -1: its beginning is not in the trace

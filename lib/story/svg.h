@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include "story/timeline.h"
+#include "story/html.h"
 
 namespace xauto::story {
 

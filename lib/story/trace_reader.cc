@@ -194,7 +194,6 @@ class TraceFile {
         } else if (const auto sample = sampled_.find(flow); sample != sampled_.end()) {
           list.back().samples.push_back(sample->second);
         }
-      if (track.place == Place::kDone) take_result(event, ts);
       for (const std::uint64_t flow : event.flow_ids()) flows_[flow] = index;
     }
     if (slice) open_[event.track_uuid()].push_back(index);
@@ -207,6 +206,7 @@ class TraceFile {
       if (arg.name() == "chain") counts.name = arg.string_value();
       if (arg.name() == "results") counts.results = arg.int_value();
       if (arg.name() == "misses") counts.misses = arg.int_value();
+      if (arg.name() == "lost") counts.lost = arg.int_value();
       if (arg.name() == "exceeded") counts.exceeded = arg.int_value() != 0;
       if (!is_time(arg.int_value()) || arg.int_value() < 0) continue;
       if (arg.name() == "p50_us") counts.p50_us = arg.int_value();
@@ -274,23 +274,6 @@ class TraceFile {
       out_.changes.push_back(std::move(change));
   }
 
-  void take_result(const proto::TrackEvent& event, std::int64_t ts) {
-    TraceResult result{0, ts, ts, -1};
-    for (const auto& arg : event.debug_annotations()) {
-      if (arg.name() == "release") result.number = arg.int_value();
-      if (arg.name() == "latency_us") result.latency_us = arg.int_value();
-      if (arg.name() == "deadline_us") out_.deadline_us = arg.int_value();
-    }
-    if (result.latency_us < 0 || result.latency_us > ts / 1000) return;
-    result.begin_ns = ts - result.latency_us * 1000;
-    const std::string& name = event.name();  // "LD 12" is the output of module LD
-    const std::string module = name.substr(0, name.rfind(' '));
-    auto of = std::find_if(out_.outputs.begin(), out_.outputs.end(),
-                           [&](const TraceOutputs& o) { return o.module == module; });
-    if (of == out_.outputs.end()) of = out_.outputs.insert(of, {module, {}});
-    of->results.push_back(result);
-  }
-
   Status end(std::uint64_t uuid, const Track& track, std::int64_t ts) {
     auto& stack = open_[uuid];
     if (stack.empty()) return bad("ends a slice of track '" + track.name + "' that never began");
@@ -318,6 +301,8 @@ class TraceFile {
       if (arg.name() == "since_release_us") s.since_release_us = arg.int_value();
       if (arg.name() == "held_us") s.held_us = arg.int_value();
       if (arg.name() == "key_us") s.key_us = arg.int_value();
+      if (arg.name() == "without_core_us")
+        s.without_core_us = std::max<std::int64_t>(arg.int_value(), 0);
       if (arg.name() == "lateness_us") s.lateness_us = arg.int_value();
     }
     return s;

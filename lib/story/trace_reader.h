@@ -34,6 +34,7 @@ struct TraceSlice {
   // Of a run by keys: in the first slice of a job, and in its last.
   std::optional<std::int64_t> since_release_us, key_us, lateness_us;
   std::int64_t held_us = 0;  ///< in the first slice: so long of `waited_us`, from the first on
+  std::int64_t without_core_us = 0;  ///< in the last slice of a job on a core
 };
 
 struct TraceRelease {
@@ -41,17 +42,12 @@ struct TraceRelease {
   std::string source;
 };
 
-/// An output, from the oldest release it is made of.
-struct TraceResult {
-  std::int64_t number = 0, begin_ns = 0, end_ns = 0, latency_us = 0;
-};
-
 /// What a whole run counted of a chain, and what is stated and claimed of it; -1: not told, or nothing is.
 struct ChainCounts {
   std::string name;
   std::int64_t results = -1, p50_us = -1, p99_us = -1, max_us = -1;
   std::int64_t worst_case_us = -1, lower_bound_us = -1;
-  std::int64_t deadline_us = -1, misses = -1;
+  std::int64_t deadline_us = -1, misses = -1, lost = -1;
   bool exceeded = false;  ///< a result took longer than its worst case
 };
 
@@ -66,12 +62,6 @@ struct TraceReactions {
     bool urgent = false;
   };
   std::vector<One> releases;  ///< by number
-};
-
-/// The results of one sink module.
-struct TraceOutputs {
-  std::string module;
-  std::vector<TraceResult> results;  ///< by end, at least one
 };
 
 /// Of a run with tables. -1: not told; of a worst case: nothing is claimed.
@@ -91,14 +81,12 @@ struct ReadTrace {
   std::string title, note;
   std::vector<std::string> rows;
   std::vector<TraceRelease> releases;
-  std::vector<TraceOutputs> outputs;
   std::vector<TraceReactions> reactions;  ///< of the chains of app.json
   std::vector<ChainCounts> counts;        ///< of the whole run; empty: it went on
   std::vector<TraceScenario> scenarios;
   std::vector<TraceChange> changes;  ///< by time
   std::string verdict;               ///< what became of the claims
   std::vector<TraceSlice> run;       ///< by begin; with the outputs (category "done")
-  std::int64_t deadline_us = -1;     ///< -1: none
   std::int64_t lost = 0, dropped = 0;
   std::int64_t overwritten = 0;  ///< events from before `begin_ns`
   std::int64_t begin_ns = 0, end_ns = 0;

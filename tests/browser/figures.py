@@ -1,31 +1,27 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures in docs/img that our own pages give: schedules as SVG, the report in light and dark as PNG.
+"""The pictures in docs/img that our own pages give: after `make demo`,
 
-    build/bin/xauto compare --app examples/driving/app.json --platform small --out build/demo -- build/bin/driving
-    build/bin/xauto report build/demo/heft.pftrace --out build/demo/report.html
     tests/browser/figures.py build/demo docs/img
 """
 import os
-import re
 import struct
 import sys
 import zlib
 
 import browser
 
-STYLE = """:root { --fg:#1c1f24; --dim:#646b76; --line:#e3e6ea; --lane:#f4f5f7; --card:#fff; --ink:#111 }
-@media (prefers-color-scheme: dark) { :root { --fg:#e7e9ed; --dim:#9aa2ae; --line:#30353d; --lane:#22262d; --card:#14161a; --ink:#0b0c0e } }
-text { fill:var(--fg); font:11px system-ui, sans-serif } text.dim { fill:var(--dim) } .grid { stroke:var(--line) } .lane { fill:var(--lane) }
-text.latency { font-weight:650 } .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
-text.label { fill:var(--ink); font-size:10px }"""
+CHAIN, RESULT = "lane", "camera/front -> pr.predict"
+SCHEDULES = {"ros2": "ROS 2 model", "xauto": "XAuto"}
 
 
-def schedule(page, panel):
-    svg = page.js(f"document.querySelectorAll('#panels .card')[{panel}].querySelector('svg').outerHTML")
-    svg = re.sub(r"(\d+\.\d\d)\d+", r"\1", svg)
-    return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).replace(
-        "><defs", f">\n<!-- SPDX-License-Identifier: Apache-2.0; by tests/browser/figures.py -->\n<style>{STYLE}</style><defs", 1) + "\n"
+def panel(chain):
+    return f"[...document.querySelectorAll('section')].find(s => s.querySelector('h2').textContent === {chain!r})"
+
+
+def box(page, element):
+    return page.js(f"""(() => {{ const r = {element}.getBoundingClientRect();
+        return {{x: r.x, y: r.y + scrollY, width: r.width, height: r.height}}; }})()""")
 
 
 def smaller(path):
@@ -78,20 +74,30 @@ def smaller(path):
                   chunk(b"PLTE", b"".join(palette)) + chunk(b"IDAT", zlib.compress(lines, 9)) + chunk(b"IEND", b""))
 
 
+def picture(page, out, name, element):
+    path = os.path.join(out, name + ".png")
+    page.screenshot(path, clip=box(page, element))
+    smaller(path)
+    print(path, os.path.getsize(path))
+
+
 def main(demo, out):
     with browser.Browser(width=1000) as page:
-        page.open(os.path.join(demo, "timeline.html"))
-        ids = page.js("DATA.panels.map(p => p.id)")
-        for name in ("ros2", "xauto"):
-            with open(os.path.join(out, f"schedule-{name}.svg"), "w") as file:
-                file.write(schedule(page, ids.index(name)))
-        page.open(os.path.join(demo, "report.html"))
         for scheme in ("light", "dark"):
             page.scheme(scheme)
-            path = os.path.join(out, f"report-{scheme}.png")
-            page.screenshot(path)
-            smaller(path)
-            print(path, os.path.getsize(path))
+            page.open(os.path.join(demo, "rates/report.html"))
+            picture(page, out, "report-" + scheme, panel(CHAIN))
+        page.scheme("light")
+        page.open(os.path.join(demo, "report.html"))
+        for name, policy in SCHEDULES.items():
+            # The rows of the XPUs, which are the last ones of the slowest release.
+            page.js(f"""(() => {{ const d = [...{panel(RESULT)}.querySelectorAll('details')].find(d =>
+                d.querySelector('summary').textContent.startsWith({policy + ': slowest'!r}));
+                d.open = true;
+                const h = [...d.querySelectorAll('h3')].find(h => h.textContent === 'Who had the XPUs');
+                const b = document.createElement('div'); b.id = {name!r}; h.replaceWith(b);
+                while (b.nextSibling) b.appendChild(b.nextSibling); }})()""")
+            picture(page, out, "schedule-" + name, f"document.getElementById({name!r})")
 
 
 if __name__ == "__main__":

@@ -160,7 +160,7 @@ class Flow(unittest.TestCase):
         self.good("solve", "--app", app, *solve, "--out", self.path("p2.json"))
         report = json.loads(self.good("run", "--app", app, "--policy", self.path("p2.json"), "--platform",
                                       "small", "--emulate", "--input", self.path("drive.mcap"), "--json", "--lockstep",
-                                      "--timeline", self.path("t.html"), "--", DRIVING))
+                                      "--page", self.path("t.html"), "--", DRIVING))
         run = report["runs"][0]
         self.assertEqual((run["activations"], run["lost_activations"], run["complete"]), (8, 0, True))
         self.assertEqual(run["trace_events_lost"], 0)
@@ -202,8 +202,8 @@ class Flow(unittest.TestCase):
         for run in runs:
             self.assertEqual(run["activations"], 5)
             self.assertGreater(run["p50_us"], 0)
-        page = pathlib.Path(self.path("out/timeline.html")).read_text()
-        self.assertNotIn("http://", page.replace("http://www.w3.org/2000/svg", ""))
+        page = pathlib.Path(self.path("out/report.html")).read_text()
+        self.assertNotIn("http://", page)
         self.assertNotIn("https://", page)
 
     def start(self, *before):

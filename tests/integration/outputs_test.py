@@ -55,7 +55,7 @@ class Outputs(unittest.TestCase):
     def test_a_missing_folder_is_an_error_before_the_run(self):
         self.assertEqual(self.call("run", "--trace-out", self.path("run.pftrace")).returncode, 0)
         pathlib.Path(self.path("file")).write_text("")
-        for verb, options in {"run": ["--out", "--timeline", "--trace-out", "--record"],
+        for verb, options in {"run": ["--out", "--page", "--trace-out", "--record"],
                               "profile": ["--out", "--app-out"], "solve": ["--out"], "simulate": ["--out"],
                               "report": ["--out"], "compare": ["--out"]}.items():
             for option in options:
@@ -75,7 +75,7 @@ class Outputs(unittest.TestCase):
 
     def test_a_full_disk_does_not_cost_the_table_nor_the_other_files(self):
         page = self.path("page.html")
-        done = self.call("run", "--out", self.full("full.json"), "--trace-out", self.full("full.pftrace"), "--timeline", page)
+        done = self.call("run", "--out", self.full("full.json"), "--trace-out", self.full("full.pftrace"), "--page", page)
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertRegex(done.stdout, r"policy +\d+\.\d\d")
         for name in ("full.json", "full.pftrace"):
@@ -100,7 +100,7 @@ class Outputs(unittest.TestCase):
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertRegex(done.stdout, r"HEFT +\d+\.\d\d")
         self.assertEqual(done.stderr.count("No space left on device"), 3, done.stderr)
-        self.assertIn("a1", (folder / "timeline.html").read_text())
+        self.assertIn("a1", (folder / "report.html").read_text())
 
     def test_a_recording_that_cannot_be_written_does_not_cost_the_table(self):
         # The app limits the size of its files: as on a full disk, SQLite's writes fail.
@@ -134,9 +134,9 @@ class Outputs(unittest.TestCase):
 
     def test_one_file_for_two_outputs_is_refused(self):
         same = self.path("same")
-        done = self.call("run", "--out", same, "--timeline", same)
+        done = self.call("run", "--out", same, "--page", same)
         self.assertEqual(done.returncode, 2)
-        self.assertIn("--timeline", done.stderr)
+        self.assertIn("--page", done.stderr)
 
 
 if __name__ == "__main__":

@@ -16,52 +16,62 @@ from common import APP, DRIVING, xauto
 ACTIVATIONS = 12
 
 
+class Element:
+    def __init__(self, tag, attributes=()):
+        self.tag, self.attributes, self.children = tag, dict(attributes), []
+
+    def all(self, tag, css=None):
+        """Below it, in their order."""
+        for child in self.children:
+            if isinstance(child, Element):
+                if child.tag == tag and (css is None or css in child.attributes.get("class", "").split()):
+                    yield child
+                yield from child.all(tag, css)
+
+    def text(self):
+        return "".join(c if isinstance(c, str) else c.text() for c in self.children if isinstance(c, str) or c.tag != "style")
+
+    def percent(self, of):
+        """`left` or `width` of its style."""
+        return float(re.search(of + r":([\d.]+)%", self.attributes["style"])[1])
+
+
 class Page(html.parser.HTMLParser):
-    """Tables by the heading or the column heads above them: {first head: [[cell]]}; headings; text."""
+    """What is nested must close in its order."""
 
     def __init__(self, text):
         super().__init__()
-        self.tables, self.headings, self.links, self.text = [], [], [], ""
-        self._cell = self._heading = None
-        self._skip = False
+        self.root = Element("page")
+        self._open = [self.root]
         self.feed(text)
+        assert self._open == [self.root], [e.tag for e in self._open]
 
     def handle_starttag(self, tag, attributes):
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr" and self.tables:
-            self.tables[-1].append([])
-        elif tag in ("td", "th"):
-            self._cell = ""
-        elif tag in ("h1", "h2"):
-            self._heading = ""
-        elif tag in ("script", "style"):
-            self._skip = True
-        self.links += [v for k, v in attributes if k in ("src", "href")]
+        self._open[-1].children.append(Element(tag, attributes))
+        if tag not in ("meta", "br", "line", "circle"):
+            self._open.append(self._open[-1].children[-1])
+        elif tag == "line":  # it has a title
+            self._open.append(self._open[-1].children[-1])
+
+    def handle_startendtag(self, tag, attributes):
+        self._open[-1].children.append(Element(tag, attributes))
 
     def handle_endtag(self, tag):
-        if tag in ("td", "th") and self._cell is not None:
-            self.tables[-1][-1].append(self._cell)
-            self._cell = None
-        elif tag in ("h1", "h2") and self._heading is not None:
-            self.headings.append(self._heading)
-            self._heading = None
-        elif tag in ("script", "style"):
-            self._skip = False
+        assert self._open.pop().tag == tag, tag
 
     def handle_data(self, data):
-        if self._skip:
-            return
-        self.text += data
-        if self._cell is not None:
-            self._cell += data
-        if self._heading is not None:
-            self._heading += data
+        self._open[-1].children.append(data)
 
-    def table(self, first, number=0):
-        """Rows of the number-th table whose first head is `first`, as {first cell: {head: cell}}."""
-        found = [t for t in self.tables if t and t[0] and t[0][0] == first][number]
-        return {row[0]: dict(zip(found[0], row)) for row in found[1:]}
+    def panel(self, heading):
+        return next(e for e in self.root.all("section") if next(e.all("h2")).text() == heading)
+
+    def table(self, first):
+        """Of the table whose first head is `first`: {first cell: [other cells]}."""
+        for table in self.root.all("table"):
+            rows = [[c.text() for c in row.children] for row in table.all("tr")]
+            if rows[0][0] == first:
+                return {row[0]: row[1:] for row in rows[1:]}
+        raise AssertionError(first)
 
 
 def quantile(values, q):
@@ -182,85 +192,88 @@ class Report(unittest.TestCase):
 
     # ---- the page tells what the trace tells
 
-    def test_page_and_trace_give_the_same_latencies_per_chain(self):
+    def test_every_chain_has_its_numbers_and_a_dot_per_release(self):
         deadline = json.loads(pathlib.Path(APP).read_text())["deadline_us"]
-        by_chain = {name: [s.args["reaction_us"] for s in of.values()] for name, of in self.chains().items()}
-        rows = self.page.table("chain, ms (whole run)")
-        self.assertEqual(set(rows), set(by_chain))
-        for name, reactions in by_chain.items():
-            expected = {"n": str(ACTIVATIONS), "p50": ms(quantile(reactions, 0.5)),
-                        "p99": "-", "max": ms(max(reactions)), "deadline": ms(deadline),
-                        "missed": str(sum(us > deadline for us in reactions))}
-            self.assertEqual({k: rows[name][k] for k in expected}, expected, name)
+        chains = self.chains()
+        shown = [next(e.all("h2")).text() for e in self.page.root.all("section") if list(e.all("svg"))]
+        self.assertEqual(shown, [c["name"] for c in self.run_json["chains"]])
+        for name, reactions in chains.items():
+            took = [s.args["reaction_us"] for s in reactions.values()]
+            panel = self.page.panel(name)
+            words = next(panel.all("p", "run")).text()
+            self.assertIn(f"heft p50 {ms(quantile(took, 0.5))}, p99 -, max {ms(max(took))} of {ACTIVATIONS} results", words)
+            missed = sum(us > deadline for us in took)
+            self.assertEqual("missed the deadline" in words, missed > 0)
+            self.assertIn(f"deadline {ms(deadline)} ms", panel.text())
+            far = deadline > 3 * max(took)
+            axis = max(took) if far else max(deadline, *took)
+            axis += axis // 20
+            dots = sorted(float(c.attributes["cx"].rstrip("%")) for c in panel.all("circle"))
+            for dot, us in zip(dots, sorted(took), strict=True):
+                self.assertAlmostEqual(dot, 100 * us / axis, delta=0.02)
+            lines = [e for e in panel.all("line", "deadline")]
+            self.assertEqual(len(lines), 0 if far else 1)
+            for e in lines:
+                self.assertAlmostEqual(float(e.attributes["x1"].rstrip("%")), 100 * deadline / axis, delta=0.02)
 
-    def test_page_and_trace_give_the_same_latencies_per_output(self):
-        begin = {n: s.begin for n, s in self.releases().items()}
-        by_output = {}
-        for s in self.trace.on("done", "done"):
-            by_output.setdefault(s.name.rsplit(" ", 1)[0], []).append((s.begin - begin[s.args["release"]]) // 1000)
-        rows = self.page.table("output of, ms")
-        self.assertEqual(set(rows), set(by_output))
-        deadline = json.loads(pathlib.Path(APP).read_text())["deadline_us"]
-        for name, latencies in by_output.items():
-            expected = {"n": str(ACTIVATIONS), "p50": ms(quantile(latencies, 0.5)), "p99": "-",
-                        "max": ms(max(latencies)), "missed": str(sum(us > deadline for us in latencies))}
-            self.assertEqual({k: rows[name][k] for k in expected}, expected, name)
-        self.assertEqual(self.html.count("<svg viewBox='0 0 240 34'"), len(by_output))  # a distribution each
-
-    def test_page_and_trace_give_the_same_jobs_preemptions_and_load(self):
-        rows = self.page.table("XPU")
+    def test_page_and_trace_give_the_same_preemptions_and_load(self):
+        rows = self.page.table("XPU, and preemptions")
         self.assertEqual(set(rows), {s.track.split("/")[1] for s in self.trace.on("run")})
         whole = [s for s in self.trace.slices if s.track == "releases" or s.track.startswith("run/")]
         length = max(s.end for s in whole) - min(s.begin for s in whole)
         preempted = 0
-        for xpu, row in rows.items():
-            pieces = self.trace.on("run/" + xpu, "run")
-            parts = [s.args["part"] for s in pieces]
-            self.assertEqual(row["jobs"], str(parts.count(1)))
-            self.assertEqual(row["preemptions"], str(len(parts) - parts.count(1)))
-            preempted += len(parts) - parts.count(1)
+        for xpu, (cell,) in rows.items():
+            parts = [s.args["part"] for s in self.trace.on("run/" + xpu, "run")]
+            again = len(parts) - parts.count(1)
+            preempted += again
             busy, until = 0, 0
             for s in sorted(self.trace.on("run/" + xpu), key=lambda s: s.begin):
                 busy += max(0, s.end - max(s.begin, until))
                 until = max(until, s.end)
-            self.assertAlmostEqual(float(row["busy"].rstrip(" %")), 100 * busy / length, delta=0.11)
+            percent, *rest = cell.split(" %")
+            self.assertAlmostEqual(float(percent), 100 * busy / length, delta=0.11)
+            self.assertEqual(rest, [f", {again}" if again else ""])
         self.assertGreater(preempted, 0)  # HEFT preempts on the GPU: else this test sees nothing
 
     def test_the_worst_release_is_the_same_everywhere(self):
         told, chains = self.explain("worst"), self.chains()
         self.assertEqual(list(told), [c["name"] for c in self.run_json["chains"]])
-        for number, (name, words) in enumerate(told.items()):
+        for name, words in told.items():
             longest = max(s.args["reaction_us"] for s in chains[name].values())
             self.assertEqual((words["reaction_us"], words["rank"], words["of"]), (longest, 1, ACTIVATIONS))
             self.assertEqual(chains[name][words["release"]].args["reaction_us"], longest)
-            self.assertIn(f"Slowest release of {name}: {words['release']}, {ms(longest)} ms", self.page.headings)
-            rows = self.page.table("XNode, ms since then", number)
-            times = ("ready", "began", "ended")
-            self.assertEqual({row: [of["on"], *(of[k] for k in times)] for row, of in rows.items()},
-                             {f"{j['xnode']} {j['release']}": [j["xpu"], *(ms(j[k + "_us"]) for k in times)]
-                              for j in words["jobs"]})
+            worst = next(self.page.panel(name).all("details"))
+            self.assertEqual(next(worst.all("summary")).text(),
+                             f"heft: slowest release, {words['release']}, took {ms(longest)} ms")
+            self.assertIn(f"search there for “{name} {words['release']}”", worst.text())
 
-    def test_gantt_has_the_run(self):
-        data = json.loads(re.search(r"const DATA = (.*?);</script>", self.html, re.S).group(1))
-        shown = {}
-        for panel in data["panels"]:
-            output = panel["name"].removeprefix("heft: ")
-            latencies = {s.args["release"]: s.args["latency_us"] for s in self.trace.on("done", "done")
-                         if s.name.rsplit(" ", 1)[0] == output}
-            shown[output] = panel["shownLatency"]
-            self.assertEqual((latencies[panel["shown"]], panel["shownLatency"]), (max(latencies.values()),) * 2)
-            # Nothing behind the output is drawn.
-            end = self.releases()[panel["shown"]].begin + panel["shownLatency"] * 1000
-            run = [s for s in self.trace.on("run", "run") if s.args["release"] == panel["shown"] and s.begin < end]
-            bars = [b for b in panel["measured"] if b[5] == 0]
-            self.assertEqual(sorted((b[1], panel["rows"][b[0]]) for b in bars),
-                             sorted((s.name, s.track.split("/")[1]) for s in run))
-        self.assertEqual(set(shown), {"LA", "PR", "TC"})
+    def test_a_waterfall_has_every_job_where_it_ran(self):
+        releases = self.releases()
+        for name, words in self.explain("worst").items():
+            rows = {next(row.all("span", "who")).text(): row
+                    for row in next(self.page.panel(name).all("details")).all("div", "row")}
+            release, whole = releases[words["release"]], words["reaction_us"] * 1000
+            for job in words["jobs"] + words["own"] + words["missed"]:
+                row = rows[f"{job['xnode']} {job['release']} {job['xpu']}"]
+                ran = sorted((e.percent("left"), e.percent("width")) for e in row.all("i", "run"))
+                for (left, width), s in zip(ran, self.slices_of(job["xnode"], job["release"]), strict=True):
+                    self.assertAlmostEqual(left, 100 * (s.begin - release.begin) / whole, delta=0.03)
+                    self.assertAlmostEqual(width, 100 * (s.end - s.begin) / whole, delta=0.03)
+                if job["ready_us"] + 100 < job["began_us"]:
+                    self.assertTrue(list(row.all("i", "wait")), job)
+            way = [(e.percent("left"), e.percent("width")) for e in rows["all of it "].all("i")]
+            self.assertAlmostEqual(sum(width for _, width in way), 100, delta=0.02 * len(way))
+            # Who had the XPUs: what is wide enough to be seen, and nothing else.
+            for xpu in {s.track.split("/")[1] for s in self.trace.on("run", "run")}:
+                wide = sorted(s.name for s in self.trace.on("run/" + xpu, "run")
+                              if s.begin < release.begin + whole and s.end > release.begin and (s.end - s.begin) * 2000 > whole * 1.01)
+                drawn = sorted(e.text() for css in ("run", "other") for e in rows[xpu + " "].all("i", css)) if wide else []
+                self.assertLessEqual(set(wide), set(drawn), xpu)
 
-    def test_the_page_needs_no_network(self):
-        self.assertEqual(self.page.links, [])
-        text = self.html.replace("http://www.w3.org/2000/svg", "")
-        self.assertEqual(re.findall(r".{0,20}(?:://|@import|url\((?!#h\$)|fetch\(|XMLHttpRequest).{0,20}", text), [])
+    def test_the_page_needs_neither_network_nor_script(self):
+        links = {v for e in self.page.root.all("a") for v in [e.attributes["href"]]}
+        self.assertEqual(links, {"heft.pftrace"})
+        self.assertEqual(re.findall(r".{0,20}(?:://|@import|url\(|<script|<link| src=).{0,20}", self.html), [])
 
     # ---- in words
 

@@ -113,6 +113,27 @@ class Story(unittest.TestCase):
             heard = {x.get("source") for x in self.app["xnodes"] if x["name"] in fires}
             yield chain["name"], self.told.reactions(chain["from"], module, chain["to"], chain["from"] not in heard)
 
+    def test_all_time_of_a_release_is_accounted_for(self):
+        """What is said to run ran then, by the slices; and there is no gap."""
+        for which in ("worst", "median"):
+            stories = json.loads(self.explain("--json", "--activation", which))["chains"]
+            self.assertEqual(len(stories), len(self.app["chains"]))
+            for story in stories:
+                way = story["way"]
+                ends = [0] + [s["end_us"] for s in way]
+                self.assertEqual([s["begin_us"] for s in way], ends[:-1], story["chain"])
+                self.assertEqual(ends[-1], story["reaction_us"])
+                released = self.told.releases[next(c["from"] for c in self.app["chains"] if c["name"] == story["chain"]),
+                                              story["release"]]
+                for spent in way:
+                    ran = sum(max(0, min(s.end - released, spent["end_us"] * 1000) - max(s.begin - released, spent["begin_us"] * 1000))
+                              for (name, _), slices in self.told.jobs.items() if name == spent["xnode"] for s in slices)
+                    whole = spent["end_us"] - spent["begin_us"]
+                    if spent["on"] == "running":
+                        self.assertAlmostEqual(ran / 1000, whole, delta=2.1, msg=spent)
+                    elif spent["on"] in ("held", "waiting", "off the XPU"):
+                        self.assertAlmostEqual(ran / 1000, 0, delta=2.1, msg=spent)
+
     def test_reactions_are_what_the_run_has_counted(self):
         counted = {c["name"]: c for c in self.report["chains"]}
         for name, took in self.chains():

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto compare: one app under several policies, side by side: the table, report.json,
-// timeline.html, a Perfetto trace each.
+// report.html, a Perfetto trace each.
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
@@ -138,11 +138,12 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
   if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
   Outputs outputs;
   const std::string report_path = flags.out + "/report.json";
-  const std::string timeline_path = flags.out + "/timeline.html";
+  const std::string page_path = flags.out + "/report.html";
   XAUTO_TRY(outputs.expect("--out", report_path));
-  XAUTO_TRY(outputs.expect("--out", timeline_path));
+  XAUTO_TRY(outputs.expect("--out", page_path));
 
   std::vector<PolicyRun> runs;
+  std::vector<story::PagedRun> paged;
   std::optional<Policy> ours;
   bool good = true;
   const StopOnSignal stop;
@@ -153,10 +154,14 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
     log::info("{}: running {}", run.name, length);
     XAUTO_TRY(execute(flags, run, stop.flag()));
     good = is_healthy(run) && good;
-    if (const Result<std::string> trace = perfetto_of(flags, run))
-      outputs.write(flags.out + "/" + id + ".pftrace", *trace);
+    const std::string trace_name = id + ".pftrace";
+    const Result<std::string> trace = perfetto_of(flags, run);
+    if (trace) outputs.write(flags.out + "/" + trace_name, *trace);
+    auto page = trace ? paged_of(*trace, trace_name) : tl::unexpected<Error>(trace.error());
+    if (page)
+      paged.push_back(std::move(*page));
     else
-      outputs.failed(trace.error());
+      outputs.failed(page.error());
     runs.push_back(std::move(run));
     if (stop.flag()->load()) break;
   }
@@ -166,10 +171,10 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
   else
     std::cout << report_table(flags, runs) << "\n";
   outputs.write(report_path, report);
-  outputs.write(timeline_path, timeline_html(timeline_of(flags, runs)));
+  outputs.write(page_path, story::page_html(paged));
   if (!options.json && outputs.good())
-    std::cout << "  " << report_path << "    the numbers\n  " << timeline_path
-              << "  the schedules; open it in a browser\n  " << flags.out
+    std::cout << "  " << report_path << "    the numbers\n  " << page_path
+              << "    the picture; open it in a browser\n  " << flags.out
               << "/*.pftrace      what ran, all of it; open one at ui.perfetto.dev\n";
   return outputs.status(good ? kDone : kAnswerIsNo);
 }
@@ -191,7 +196,7 @@ void add_compare(Commands& commands) {
       .shown_as(fmt::format("{}; where no source has a rate {}", fmt::join(kWithRates, ","),
                             fmt::join(kOneAtATime, ",")));
   verb.option("--out", flags->out,
-              "folder for report.json, timeline.html, the traces and the policies")
+              "folder for report.json, report.html, the traces and the policies")
       .shown();
   verb.option("--time-limit-s", flags->time_limit_s, "for the solver, per policy")
       .positive()

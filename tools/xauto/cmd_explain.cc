@@ -100,6 +100,7 @@ Json to_json(const story::StoryJob& job) {
           {"began_us", job.began_us},
           {"ran_us", job.ran_us},
           {"ended_us", job.ended_us},
+          {"without_core_us", job.without_core_us},
           {"key_us", or_null(job.key_us)},
           {"lateness_us", or_null(job.lateness_us)},
           {"waited_for", to_json(job.waited_for)},
@@ -118,6 +119,14 @@ Json to_json(const story::ChainStory& story) {
   for (const story::StorySensor& s : story.sensors)
     sensors.push_back(
         {{"source", s.source}, {"release", s.number}, {"released_us", s.released_us}});
+  auto way = Json::array();
+  for (const story::Spent& spent : story.way)
+    way.push_back(
+        {{"on", story::to_string(spent.on)},
+         {"xnode",
+          spent.job < 0 ? Json() : Json(story.jobs[static_cast<std::size_t>(spent.job)].xnode)},
+         {"begin_us", spent.begin_us},
+         {"end_us", spent.end_us}});
   return {{"chain", story.chain},
           {"note", story.note},
           {"release", story.number},
@@ -127,6 +136,7 @@ Json to_json(const story::ChainStory& story) {
           {"of", story.of},
           {"median_us", story.median_us},
           {"cut", story.cut},
+          {"way", std::move(way)},
           {"sensors", std::move(sensors)},
           {"jobs", to_json(story.jobs)},
           {"own", to_json(story.own)},

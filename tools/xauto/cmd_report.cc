@@ -5,7 +5,8 @@
 
 #include "model/json.h"
 #include "model/json_value.h"
-#include "story/html_report.h"
+#include "story/page.h"
+#include "story/trace_reader.h"
 
 #include "xauto/command.h"
 #include "xauto/outputs.h"
@@ -21,23 +22,22 @@ struct ReportFlags {
 Result<int> make(const ReportFlags& flags, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
-  std::vector<story::ReportedTrace> traces;
+  std::vector<story::PagedRun> runs;
+  auto list = Json::array();
   for (const std::string& path : flags.traces) {
     XAUTO_ASSIGN(const std::string bytes, read_file(path));
     XAUTO_ASSIGN(story::ReadTrace trace, story::read_trace(bytes, path));
-    traces.push_back({std::filesystem::path(path).stem().string(), std::move(trace)});
+    list.push_back({{"trace", std::filesystem::path(path).stem().string()},
+                    {"releases", trace.releases.size()},
+                    {"lost", trace.lost}});
+    runs.push_back({link_from(flags.out, path), std::move(trace)});
   }
   // The page is the result; stdout only says where it is.
-  XAUTO_TRY(write_file(flags.out, html_report(traces)));
-  if (options.json) {
-    auto list = Json::array();
-    for (const story::ReportedTrace& t : traces)
-      list.push_back(
-          {{"trace", t.id}, {"releases", t.trace.releases.size()}, {"lost", t.trace.lost}});
+  XAUTO_TRY(write_file(flags.out, story::page_html(runs)));
+  if (options.json)
     std::cout << Json{{"out", flags.out}, {"traces", std::move(list)}}.dump(2) << "\n";
-  } else {
+  else
     std::cout << flags.out << "    open it in a browser\n";
-  }
   return kDone;
 }
 
@@ -46,7 +46,8 @@ Result<int> make(const ReportFlags& flags, const Options& options) {
 void add_report(Commands& commands) {
   auto flags = std::make_shared<ReportFlags>();
   Verb verb = commands.add(
-      "report", "Make a page of traces: latencies, the worst release and why, XPU load.",
+      "report",
+      "Make a page of traces: claims, each chain's releases, where their time went, XPU load.",
       "xauto report build/demo/heft.pftrace build/demo/xauto.pftrace --out report.html",
       [flags](const Options& options) { return make(*flags, options); });
   verb.option("traces", flags->traces, "files of `xauto run --trace-out` or `xauto compare`")

@@ -22,7 +22,7 @@ namespace xauto::cli {
 namespace {
 
 struct OneRunFlags : RunFlags {
-  std::string policy_path, scheduling = "xauto", name, out, timeline, trace_out, record;
+  std::string policy_path, scheduling = "xauto", name, out, page, trace_out, record;
 };
 
 /// "run.pftrace" -> "run.miss-1.pftrace"
@@ -84,6 +84,18 @@ void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
         flags.policy_path, run.untrue);
 }
 
+/// The trace, and the page that is made of it.
+void write_traced(const OneRunFlags& flags, const PolicyRun& run, Outputs& outputs) {
+  const Result<std::string> trace = perfetto_of(flags, run);
+  if (!trace) return outputs.failed(trace.error());
+  if (!flags.trace_out.empty()) outputs.write(flags.trace_out, *trace);
+  if (flags.page.empty()) return;
+  auto page =
+      paged_of(*trace, flags.trace_out.empty() ? "" : link_from(flags.page, flags.trace_out));
+  if (!page) return outputs.failed(page.error());
+  outputs.write(flags.page, story::page_html({std::move(*page)}));
+}
+
 Result<int> run(const OneRunFlags& given, const Options& options) {
   OneRunFlags flags = given;
   XAUTO_TRY(flags.prepare(flags.policy_path));
@@ -119,7 +131,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
   flags.record_path = flags.record;
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
-  XAUTO_TRY(outputs.expect("--timeline", flags.timeline));
+  XAUTO_TRY(outputs.expect("--page", flags.page));
   XAUTO_TRY(outputs.expect("--trace-out", flags.trace_out));
   // One that exists is refused by the app's recorder, which also makes folders ("drive/").
   if (!std::filesystem::exists(flags.record))
@@ -144,14 +156,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
   else
     std::cout << report_table(flags, runs);
   outputs.write(flags.out, report);
-  if (!flags.timeline.empty())
-    outputs.write(flags.timeline, timeline_html(timeline_of(flags, runs)));
-  if (!flags.trace_out.empty()) {
-    if (const Result<std::string> trace = perfetto_of(flags, run))
-      outputs.write(flags.trace_out, *trace);
-    else
-      outputs.failed(trace.error());
-  }
+  if (!flags.page.empty() || !flags.trace_out.empty()) write_traced(flags, run, outputs);
   if (!run.report.recording_error.empty())
     outputs.failed({ErrorCode::kIo, run.report.recording_error, "--record " + flags.record, {}});
   bool passed = is_healthy(run);
@@ -183,7 +188,9 @@ void add_run(Commands& commands) {
       .one_of({"xauto", "timeshare", "ros2"})
       .shown();
   verb.option("--out", flags->out, "write report.json here");
-  verb.option("--timeline", flags->timeline, "write the schedule as an HTML page here");
+  verb.option(
+      "--page", flags->page,
+      "write a page here: what became of the claims, and where the time of each chain went");
   verb.option("--trace-out", flags->trace_out,
               "write what ran here, for Perfetto's viewers (FILE.pftrace); what surrounds the "
               "first three deadline misses and hangs goes to FILE.miss-1.pftrace, "

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xauto/outputs.h"
 
+#include <filesystem>
 #include <iostream>
+#include <system_error>
 
 #include <signal.h>
 #include <sys/stat.h>
@@ -42,6 +44,14 @@ void Outputs::failed(const Error& error) {
 
 int Outputs::status(int status) const {
   return status == kDone && !good_ ? kAnswerIsNo : status;
+}
+
+std::string link_from(const std::string& page, const std::string& file) {
+  namespace fs = std::filesystem;
+  std::error_code error;
+  const fs::path folder = fs::absolute(page, error).parent_path();
+  const fs::path path = fs::proximate(fs::absolute(file, error), folder, error);
+  return error ? file : path.string();
 }
 
 }  // namespace xauto::cli

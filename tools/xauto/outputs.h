@@ -32,4 +32,7 @@ class Outputs {
   bool good_ = true;
 };
 
+/// `file` as a link from `page` has it.
+[[nodiscard]] std::string link_from(const std::string& page, const std::string& file);
+
 }  // namespace xauto::cli

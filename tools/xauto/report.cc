@@ -12,7 +12,6 @@
 #include "model/json_value.h"
 #include "session/account.h"
 #include "session/changes.h"
-#include "story/html_report.h"
 #include "story/perfetto.h"
 #include "story/run_trace.h"
 #include "story/trace_reader.h"
@@ -202,13 +201,6 @@ const PolicyRun* ros2_of(const std::vector<PolicyRun>& runs) {
 std::optional<double> ratio(const Latency& a, std::int64_t Latency::*of, const Latency& b) {
   if (!has_p99(a) || !has_p99(b) || b.*of == 0) return std::nullopt;
   return static_cast<double>(a.*of) / static_cast<double>(b.*of);
-}
-
-/// What may be part of an identifier in the page; a policy's name may be anything.
-std::string page_id(const std::string& name) {
-  std::string id;
-  for (const char c : name) id += (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') ? c : '-';
-  return id;
 }
 
 /// "emulated XPUs", "real XPUs", or which is which.
@@ -513,6 +505,7 @@ std::vector<story::ChainCounts> counts_of(const PolicyRun& run) {
     counts.worst_case_us = known(r.worst_case_us);
     counts.lower_bound_us = known(r.lower_bound_us);
     counts.exceeded = r.exceeded();
+    counts.lost = static_cast<std::int64_t>(r.lost);
     list.push_back(std::move(counts));
   }
   return list;
@@ -595,30 +588,9 @@ std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
                      static_cast<double>(e.arg) / 1000);
 }
 
-story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  story::Timeline timeline;
-  timeline.title = flags.app.name + " on " + flags.spec.name;
-  timeline.note = fmt::format(
-      "{}, {} results per policy; each chart shows what ran from the slowest release of a chain to "
-      "its result",
-      xpus_text(flags), runs.empty() ? 0 : runs.front().latency.count);
-  for (const PolicyRun& run : runs) {
-    std::vector<story::Panel> panels;
-    if (const auto bytes = perfetto_of(flags, run))
-      if (const auto trace = story::read_trace(*bytes, run.name)) {
-        timeline.sections += story::counts_section(run.name, *trace);
-        panels = story::output_panels(page_id(run.id), run.name, *trace);
-      }
-    if (panels.empty()) {
-      panels.push_back({page_id(run.id), run.name});
-      if (run.latency.count > 0)
-        std::tie(panels.back().p50_us, panels.back().max_us) =
-            std::tie(run.latency.p50_us, run.latency.max_us);
-      if (has_p99(run.latency)) panels.back().p99_us = run.latency.p99_us;
-    }
-    for (story::Panel& panel : panels) timeline.panels.push_back(std::move(panel));
-  }
-  return timeline;
+Result<story::PagedRun> paged_of(const std::string& trace, std::string file) {
+  XAUTO_ASSIGN(story::ReadTrace read, story::read_trace(trace, file.empty() ? "trace" : file));
+  return story::PagedRun{std::move(file), std::move(read)};
 }
 
 }  // namespace xauto::cli

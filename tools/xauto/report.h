@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// What one or more runs come to: report.json, the table for people, the timeline page.
+// What one or more runs come to: report.json, the table for people, the trace and the page.
 #pragma once
 
 #include <string>
 #include <vector>
 
-#include "story/timeline.h"
+#include "story/page.h"
 
 #include "xauto/run_app.h"
 
@@ -26,7 +26,7 @@ namespace xauto::cli {
                                               const launch::Incident& incident);
 /// "release 12 missed its deadline: 17.31 ms"
 [[nodiscard]] std::string words_of(const RunFlags& flags, const launch::Incident& incident);
-[[nodiscard]] story::Timeline timeline_of(const RunFlags& flags,
-                                          const std::vector<PolicyRun>& runs);
+/// What a page shows of such a trace, which is in `file` (story/page.h).
+[[nodiscard]] Result<story::PagedRun> paged_of(const std::string& trace, std::string file);
 
 }  // namespace xauto::cli

@@ -15,7 +15,7 @@
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 5
+#define XAUTO_EVENT_VERSION 6
 
 /* What happened. In the order in which one job meets them. */
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
@@ -65,6 +65,9 @@
  * was the reason, if one was.
  */
 #define XAUTO_EV_SWITCH 18
+
+/* Before FINISH of a job on a real core: the kernel ran others there meanwhile, for arg us. */
+#define XAUTO_EV_NO_CORE 19
 
 #define XAUTO_DROP_FAILED 1   /* exec threw or returned an error */
 #define XAUTO_DROP_UPSTREAM 2 /* an input of this activation was dropped upstream */

@@ -12,7 +12,7 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include "story/html_report.h"
+#include "story/page.h"
 #include "story/perfetto.pb.h"
 #include "story/trace_reader.h"
 
@@ -347,11 +347,16 @@ TEST(Report, ThePageHoldsTheNumbersAndEscapesNames) {
   tiny.release(2000, 1);
   const auto trace = read_trace(tiny.file(), "t.pftrace");
   ASSERT_TRUE(trace) << trace.error().to_string();
-  const std::string page = html_report({{"xauto", *trace}});
+  const std::string page = page_html({{"x'/ü.pftrace", *trace}});
   EXPECT_EQ(page.find("<img"), std::string::npos);
-  EXPECT_NE(page.find("Slowest release of all: 0, 0.72 ms"), std::string::npos);
-  EXPECT_NE(page.find("off the XPU for 0.214 ms, preempted by cam.infer 0"), std::string::npos);
-  EXPECT_NE(page.find("<td>BIG</td><td>2</td><td>0.72</td>"), std::string::npos);
+  for (const char* text : {"xauto: slowest release, 0, took 0.72 ms",
+                           "off the XPU for 0.214 ms, preempted by cam.infer 0",
+                           "p50 0.72, p99 -, max 0.72 of 2 results",
+                           "href='x%27/%C3%BC.pftrace'>ü.pftrace</a>", "search there for “all 0”"})
+    EXPECT_NE(page.find(text), std::string::npos) << text;
+  // Neither script nor network.
+  for (const char* text : {"<script", "<link", " src='", "://"})
+    EXPECT_EQ(page.find(text), std::string::npos) << text;
 }
 
 /// Two changes of the scenario, the second of which the run's report does not have (any more).
@@ -388,16 +393,54 @@ TEST(Report, ThePageAndTheTraceTellChangesOfTheScenario) {
             "slow & hot fast table 0 back");
   EXPECT_EQ(second.spanned_us, -1);
   EXPECT_EQ(second.worst_case_us, -1);
-  const std::string page = html_report({{"xauto", *trace}});
+  const std::string page = page_html({{"", *trace}});
   for (const char* text :
        {"Changes of the scenario: 2<", "overrun: cam.infer", "slow &amp; hot",
-        "a result of lane, took 0.64 ms of 0.90 (fast to slow &amp; hot, release 1)", "<td>17</td>",
-        "worst cases: kept"})
+        "<td>0.64 of lane</td><td>0.90</td>", "<td>17</td>", "worst cases: kept"})
     EXPECT_NE(page.find(text), std::string::npos) << text;
   tiny.scene.tables = nullptr;
   const auto one_policy = read_trace(tiny.file(), "t.pftrace");
   ASSERT_TRUE(one_policy);
-  EXPECT_EQ(html_report({{"xauto", *one_policy}}).find("Scenarios"), std::string::npos);
+  EXPECT_EQ(page_html({{"", *one_policy}}).find("Scenarios"), std::string::npos);
+}
+
+/// What the whole run counted stands in the line of its policy; a strip has a dot per release, and a line per bound.
+TEST(Report, AChainHasItsCountsAndLines) {
+  Tiny tiny;
+  tiny.scene.counts = {{"see", 300, 310, 320, 330, 325, 100, 350, 7, 2, true}};
+  tiny.release(0, 0);
+  tiny.release(2000, 1);
+  const auto trace = read_trace(tiny.file(), "t.pftrace");
+  ASSERT_TRUE(trace);
+  const std::string page = page_html({{"", *trace}});
+  for (const char* text :
+       {"p50 0.31, p99 0.32, max 0.33 of 300 results", "claimed 0.33: <b class='bad'>exceeded</b>",
+        "7 missed the deadline", "2 lost", "from source sensor, deadline 0.35 ms"})
+    EXPECT_NE(page.find(text), std::string::npos) << text;
+  const std::string see = page.substr(page.find("<h2>see</h2>"));
+  const std::string strip = see.substr(0, see.find("</svg>"));
+  EXPECT_EQ(count(strip, "<circle"), 2);
+  for (const char* css : {"class='bound'", "class='claim'", "class='deadline'"})
+    EXPECT_EQ(count(strip, css), 1) << css;
+}
+
+/// A run without a result has no strip, no axis and no waterfall; several runs of a chain share one panel.
+TEST(Report, NothingIsDrawnOfNothing) {
+  ReadTrace none;
+  none.title = "a on p: one";
+  none.counts = {{"lane", 0}};
+  const std::string page = page_html({{"", none}});
+  for (const char* text : {"<svg", "<details", "class='axis'", "busy"})
+    EXPECT_EQ(page.find(text), std::string::npos) << text;
+  EXPECT_NE(page.find("p50 -, p99 -, max - of 0 results"), std::string::npos);
+  EXPECT_EQ(count(page_html({{"", none}, {"", none}}), "<h2>lane</h2>"), 1);
+  EXPECT_NE(page_html({}).find("</html>"), std::string::npos);
+}
+
+TEST(Report, BrokenUtf8DoesNotBreakThePage) {
+  ReadTrace trace;
+  trace.title = "\xff\xfe<b>";
+  EXPECT_NE(page_html({{"", trace}}).find("<h1>??&lt;b&gt;</h1>"), std::string::npos);
 }
 
 TEST(Report, FilesThatAreNoTraceOfOursAreRefused) {
@@ -429,7 +472,7 @@ TEST(Report, ADamagedTraceIsReadOrRefused) {
   for (int round = 0; round < 2000; ++round) {
     std::string bytes = good;
     for (int k = 0; k < 3; ++k) bytes[random() % bytes.size()] = static_cast<char>(random() & 0xff);
-    if (const auto trace = read_trace(bytes, "t.pftrace")) (void)html_report({{"t", *trace}});
+    if (const auto trace = read_trace(bytes, "t.pftrace")) (void)page_html({{"t", *trace}});
   }
 }
 

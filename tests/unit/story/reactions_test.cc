@@ -293,6 +293,48 @@ TEST(ChainStory, GoesBackThroughSamplesToTheSensors) {
   EXPECT_NE(text.find("read of CAM: nothing"), std::string::npos) << text;
 }
 
+/// "running 8410..8510 ctl.y", of a release's whole time.
+Lines way_of(const ChainStory& story) {
+  Lines lines;
+  for (const Spent& spent : story.way)
+    lines.push_back(
+        std::string(to_string(spent.on)) + " " + std::to_string(spent.begin_us) + ".." +
+        std::to_string(spent.end_us) +
+        (spent.job < 0 ? "" : " " + story.jobs[static_cast<std::size_t>(spent.job)].xnode));
+  return lines;
+}
+
+/// By hand, from the events of Loop::run: CAM 1 is ready at 12.010, runs from 12.500 to 15.900, and CTL 4 at 20 reads it.
+TEST(ChainStory, AllTimeOfAReleaseIsAccountedFor) {
+  Loop loop;
+  loop.run();
+  const auto finish = std::find_if(
+      loop.trace.events.begin(), loop.trace.events.end(),
+      [](const auto& e) { return e.kind == XAUTO_EV_FINISH && e.module == 0 && e.seq == 1; });
+  trace::Event others = *finish;
+  others.kind = XAUTO_EV_NO_CORE;
+  others.arg = 300;
+  loop.trace.events.insert(finish, others);
+  const auto bytes = perfetto_trace(loop.app, loop.scene, loop.story(), 0);
+  ASSERT_TRUE(bytes);
+  const auto read = read_trace(*bytes, "t");
+  ASSERT_TRUE(read);
+  const TraceReactions& see = read->reactions.front();
+  const auto story = story_of(*read, see, *worst_of(see));
+  ASSERT_TRUE(story);
+  EXPECT_EQ(
+      way_of(*story),
+      (Lines{"source late 0..10", "waiting 10..500 cam.x", "running 500..3600 cam.x",
+             "not run by the kernel 3600..3900 cam.x", "made, and not yet taken 3900..8000 cam.x",
+             "waiting 8000..8010 ctl.x", "running 8010..8410 ctl.x", "waiting 8410..8420 ctl.y",
+             "running 8420..8510 ctl.y", "made, and not yet taken 8510..8511 ctl.y"}));
+  EXPECT_EQ(way_text(*story),
+            "8.511 ms: 4.101 made, and not yet taken, 3.590 running, 0.510 waiting, "
+            "0.300 not run by the kernel");
+  EXPECT_NE(reasons_of(story->jobs[5]).find("for 0.300 ms the kernel ran others on its core"),
+            std::string::npos);
+}
+
 TEST(ChainStory, WhatIsDamagedIsRefused) {
   Told told;
   TraceReactions& see = told.read.reactions.front();
@@ -345,6 +387,10 @@ TEST(ChainStory, TellsTheReleaseThatCameLateAndWhoReadTooEarly) {
   const std::string text = story_text(*story);
   EXPECT_NE(text.find("its source came 48.000 ms after"), std::string::npos) << text;
   EXPECT_NE(text.find("without release 5:"), std::string::npos) << text;
+  EXPECT_EQ(way_of(*story),
+            (Lines{"missed, waiting for the next release 0..50000", "source late 50000..51000",
+                   "running 51000..52000 det", "made, and not yet taken 52000..90000 det",
+                   "running 90000..95000 plan"}));
 }
 
 TEST(ChainStory, WaitingIsSaidWithTheShareOfEach) {
