@@ -18,9 +18,9 @@
 #include "base/socket.h"
 #include "coord/server.h"
 #include "launch/supervisor.h"
-#include "runtime/engine.h"
 
 #include "bench.h"
+#include "engine/engine.h"
 #include "peers.h"
 
 #ifdef XAUTO_BENCH_TBB

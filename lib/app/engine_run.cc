@@ -4,7 +4,8 @@
 #include <vector>
 
 #include "base/pi_mutex.h"
-#include "runtime/engine.h"
+
+#include "engine/engine.h"
 
 namespace xauto::app {
 

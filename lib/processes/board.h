@@ -169,7 +169,7 @@ struct alignas(64) ParameterLine {
   std::atomic<std::uint64_t> changes{};                       ///< [S]
 };
 
-/// Jobs of one XNode that has limits (watch.h).
+/// Jobs of one XNode that has limits (session/limits.h).
 struct alignas(64) XNodeLine {
   char name[kBoardNameBytes] = {}, module[kBoardNameBytes] = {};  ///< [H] before the run
   // [M]; overruns: of the budget

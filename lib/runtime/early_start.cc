@@ -8,7 +8,8 @@
 #include "base/futex.h"
 #include "base/index.h"
 #include "model/components.h"
-#include "runtime/phase.h"
+
+#include "grid/phase.h"
 
 namespace xauto::runtime {
 

@@ -24,9 +24,10 @@
 #include "model/early_start.h"
 #include "model/platform.h"
 #include "model/policy.h"
-#include "runtime/context.h"
-#include "runtime/grid.h"
 #include "runtime/urgency.h"
+
+#include "grid/context.h"
+#include "grid/grid.h"
 
 namespace xauto::runtime {
 

@@ -23,8 +23,9 @@
 #include <xauto/result.h>
 
 #include "coord/observer.h"
-#include "runtime/context.h"
 #include "runtime/placing.h"
+
+#include "grid/context.h"
 
 namespace xauto::runtime {
 

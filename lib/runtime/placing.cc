@@ -12,7 +12,7 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "model/claims.h"
-#include "runtime/claimed_wcets.h"
+#include "session/claimed_wcets.h"
 #include "session/notes.h"
 #include "xpu/kind.h"
 #include "xpu/presence.h"
@@ -183,10 +183,6 @@ bool claims_worst_case(const Session& session) {
 
 }  // namespace
 
-std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
-  return emulated ? wcet_us * (100 + kEmulatorPct) * 10 + kEmulatorUs * 1000 : wcet_us * 1000;
-}
-
 Placing Placing::of(const Session& session, const Graph& graph) {
   Placing placing;
   placing.workers = choose_priorities(session, placing.fifo, placing.note);
@@ -269,7 +265,7 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   options.xpu = at;
   options.preempt_ns = x.preempt_us * 1000;
   options.name = context.graph.modules[module].name +
-                 (index > 0 ? "#" + std::to_string(index + 1) : "") + "@" + x.id;
+                 (index > 0 ? fmt::format("#{}", index + 1) : "") + "@" + x.id;
   options.mgmt_fifo = workers.management;
   options.exec_fifo = !real_cpu             ? workers.execution
                       : session.cpu_by_keys ? xpu::kCpuAsks

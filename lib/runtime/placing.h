@@ -12,14 +12,12 @@
 #include <xauto/result.h>
 
 #include "model/fifo_range.h"
-#include "runtime/context.h"
-#include "runtime/watch.h"
 #include "runtime/worker.h"
+#include "session/limits.h"
+
+#include "grid/context.h"
 
 namespace xauto::runtime {
-
-/// What a job may take before it counts as longer than its WCET. An emulated one takes a little more.
-[[nodiscard]] std::int64_t watched_ns(std::int64_t wcet_us, bool emulated);
 
 struct Placing {
   /// What this process may; with `workers` less what is no business of theirs.

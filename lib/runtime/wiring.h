@@ -19,15 +19,17 @@
 #include "base/thread_safety.h"
 #include "processes/board.h"
 #include "processes/interop.h"
-#include "runtime/context.h"
+#include "processes/role.h"
 #include "runtime/early_start.h"
 #include "runtime/held_up.h"
 #include "runtime/placing.h"
-#include "runtime/role.h"
 #include "runtime/worker.h"
 #include "runtime/xmodule.h"
+#include "session/run_report.h"
 #include "transport/receiver.h"
 #include "xpu/cpu_threads.h"
+
+#include "grid/context.h"
 
 namespace xauto::runtime {
 

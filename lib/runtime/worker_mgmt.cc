@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Life of a job, step 6: the management thread. It sleeps until there is a command for this worker,
 // from a more urgent job or from the coordinator. It carries it out through the XPU's backend, and
-// acknowledges. Also how long jobs have had their XPU, and what there is to do about limits (watch.h).
+// acknowledges. Also how long jobs have had their XPU, and what there is to do about limits (stopwatch.h).
 #include <algorithm>
 #include <utility>
 

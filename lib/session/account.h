@@ -32,7 +32,7 @@ struct TakenReport {
   std::int64_t us = 0;  ///< the most at once; of what is only known as a sum, all of it
 };
 
-/// A chain from a sensor to a result (runtime/routes.h), or the app as a whole.
+/// A chain from a sensor to a result (account/routes.h), or the app as a whole.
 struct ChainAccount {
   std::string name, from, to;
   std::int64_t deadline_us = 0,

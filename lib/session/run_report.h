@@ -32,7 +32,7 @@ struct ModuleReport {
   std::uint64_t unended = 0;
 };
 
-/// An XNode with limits; see watch.h for what is timed.
+/// An XNode with limits; see runtime/stopwatch.h for what is timed.
 struct XNodeReport {
   std::string name;
   /// 0: none; wcet_us: Limits::wcet_ns, with tables none: it depends on the scenario.

@@ -49,7 +49,7 @@ struct Session {
   PriorityPlan policy;
   std::optional<Policy>
       keys;  ///< what was taken, unless it has priorities; of tables that of the first
-  /// Several policies, of which each release gets one (runtime/table_switch.h); then `policy` is that of
+  /// Several policies, of which each release gets one (tables/table_switch.h); then `policy` is that of
   /// the first scenario's table. With kXAuto; set by take_tables.
   std::optional<Tables> tables;
   std::vector<PriorityPlan> by_table;  ///< [table]; empty: `policy` alone

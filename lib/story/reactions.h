@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Of a run, out of its events: how long each release took to become known at the end of
 // each chain, and how each job lay in its window. Pure. The runtime counts the same by the origins
-// that travel with messages (lib/runtime/routes.h); here it follows who has read what.
+// that travel with messages (lib/account/routes.h); here it follows who has read what.
 #pragma once
 
 #include <cstdint>

@@ -16,11 +16,11 @@
 #include "solver/keys/check.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/what_if.h"
-#include "story/windows.h"
 
 #include "xauto/outputs.h"
 #include "xauto/rare_wcets.h"
 #include "xauto/remedies.h"
+#include "xauto/windows.h"
 
 namespace xauto::cli {
 namespace {
@@ -756,7 +756,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
                                moved.untried, moves_s);
   }
   std::cout.flush();
-  if (!picture.empty()) outputs.write(picture, story::windows_svg(app, platform, policy, report));
+  if (!picture.empty()) outputs.write(picture, windows_svg(app, platform, policy, report));
   return outputs.status(kDone);
 }
 

@@ -32,14 +32,23 @@ const std::map<std::string, Names>& allowed() {
       {"lib/graph", {"model"}},
       {"lib/processes", {"model", "session", "graph", "transport"}},
       {"lib/profile", {"model", "record", "xpu", "session", "graph", "processes"}},
+      {"lib/grid", {"model", "trace", "session", "graph", "processes"}},
       {"lib/runtime",
-       {"model", "trace", "record", "coord", "transport", "xpu", "session", "graph", "processes",
+       {"model", "trace", "coord", "transport", "xpu", "session", "graph", "processes", "grid",
         "uapi"}},
+      {"lib/account", {"model", "session", "graph", "processes", "grid", "uapi"}},
+      {"lib/tables", {"model", "trace", "session", "processes", "grid", "account", "uapi"}},
+      {"lib/releases",
+       {"model", "record", "session", "graph", "processes", "grid", "runtime", "account", "tables",
+        "uapi"}},
+      {"lib/engine",
+       {"model", "trace", "transport", "session", "graph", "processes", "grid", "runtime",
+        "account", "releases", "uapi"}},
       {"lib/launch",
        {"model", "trace", "emu", "coord", "kernel", "xpu", "session", "processes", "transport",
         "uapi"}},
-      {"lib/app", {"model", "emu", "xpu", "session", "graph", "profile", "runtime", "launch"}},
-      {"lib/story", {"model", "trace", "solver", "uapi"}},
+      {"lib/app", {"model", "emu", "xpu", "session", "graph", "profile", "engine", "launch"}},
+      {"lib/story", {"model", "trace", "uapi"}},
       {"solver", {"model"}},
       {"include/xauto", {}},
       {"include/uapi", {}},
@@ -48,10 +57,12 @@ const std::map<std::string, Names>& allowed() {
   return table;
 }
 
-const Names kParts = {"base",   "model",     "trace",   "record",  "emu",    "coord", "session",
-                      "graph",  "processes", "profile", "runtime", "launch", "xpu",   "transport",
-                      "kernel", "app",       "solver",  "story",   "xauto",  "uapi",  "tools",
-                      "bench",  "examples",  "tests",   "lib",     "kmod",   "bpf",   "include"};
+const Names kParts = {"base",      "model",  "trace",     "record",   "emu",    "coord",
+                      "session",   "graph",  "processes", "profile",  "grid",   "runtime",
+                      "account",   "tables", "releases",  "engine",   "launch", "xpu",
+                      "transport", "kernel", "app",       "solver",   "story",  "xauto",
+                      "uapi",      "tools",  "bench",     "examples", "tests",  "lib",
+                      "kmod",      "bpf",    "include"};
 
 /// Foreign headers that take seconds to compile -> files that may include them.
 const std::map<std::string, Names>& expensive() {
@@ -165,7 +176,11 @@ TEST(Layering, ArrowTurnedRoundIsSeen) {
   EXPECT_FALSE(may_include("lib/coord", "launch"));
   EXPECT_FALSE(may_include("lib/processes", "runtime"));
   EXPECT_TRUE(may_include("lib/runtime", "coord"));
+  EXPECT_FALSE(may_include("lib/runtime", "account"));
+  EXPECT_FALSE(may_include("lib/account", "runtime"));
+  EXPECT_FALSE(may_include("lib/tables", "releases"));
   EXPECT_FALSE(may_include("lib/story", "runtime"));
+  EXPECT_FALSE(may_include("lib/story", "solver"));
   EXPECT_FALSE(may_include("lib/story", "tools"));
 }
 

@@ -11,8 +11,8 @@
 
 #include <gtest/gtest.h>
 
-#include "../runtime/fates.h"
-#include "../runtime/test_app.h"
+#include "../engine/fates.h"
+#include "../engine/test_app.h"
 
 namespace xauto::runtime {
 namespace {
