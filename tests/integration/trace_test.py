@@ -170,8 +170,8 @@ class Trace(unittest.TestCase):
             """Of the second look: what has begun and ended since the first. None if the GPU did nothing meanwhile."""
             top = xauto("top", "--run", f"{run.pid}-0", "--wait-s", 60, "--count", "2", "--interval-ms", "700", "--json")
             self.assertEqual(top.returncode, 0, top.stderr)
-            last = json.loads(top.stdout.splitlines()[-1])
-            load = {x["xpu"]: x["load_pct"] for x in last["xpus"]}
+            last = json.loads(top.stdout.splitlines()[-1])["runs"][0]
+            load = {x["xpu"]: x.get("load_pct", 0) for x in last["xpus"]}
             return (load, last["xnodes"]) if load["gpu0"] > 0 else None
         load, xnodes = wait_for("load on the GPU", look, run)
         self.stop(run)

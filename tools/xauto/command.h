@@ -75,7 +75,6 @@ void add_report(Commands&);
 void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);
-void add_status(Commands&);
 void add_top(Commands&);
 void add_trace(Commands&);
 

@@ -108,15 +108,6 @@ Result<Watched> find_run(const std::string& name, int wait_s) {
   return watch(name, wait_s, never);
 }
 
-std::vector<std::string> ours() {
-  const std::vector<RunSocket> sockets = sockets_of({}, launch::kLiveName);
-  const std::vector<Result<Host>> hosts = reach(sockets, kAnswerMs);
-  std::vector<std::string> runs;
-  for (std::size_t i = 0; i < sockets.size(); ++i)
-    if (hosts[i]) runs.push_back(sockets[i].run);  // else it has just ended, or is somebody else's
-  return runs;
-}
-
 Result<Json> ask_desk(const Watched& run, const Json& request) {
   const std::string where = "run '" + run.run + "'";
   const std::string text = request.dump();

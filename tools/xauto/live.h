@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `xauto status`, `xauto top` and `xauto trace` share: finding the run, asking those who know,
-// attaching the tracer, naming things.
+// What `xauto top` and `xauto trace` share: finding the run, asking those who know, attaching the tracer,
+// naming things.
 #pragma once
 
 #include <atomic>
@@ -29,8 +29,6 @@ struct Watched {
 };
 /// Names of runs of this network namespace, or what anybody calls one.
 [[nodiscard]] std::vector<std::string> running();
-/// Of these, those that answer this user.
-[[nodiscard]] std::vector<std::string> ours();
 /// Those of `runs` that introduce themselves to this user.
 [[nodiscard]] std::vector<Watched> introduced(const std::vector<std::string>& runs);
 /// The run named `run`, or with an empty name this user's only one, waited for at most `wait_s`. If this user
