@@ -8,6 +8,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <span>
 #include <thread>
 
 #include <fmt/format.h>
@@ -19,7 +20,9 @@
 #include "xauto/asking.h"
 #include "xauto/columns.h"
 #include "xauto/command.h"
+#include "xauto/kernel_record.h"
 #include "xauto/live.h"
+#include "xauto/outputs.h"
 #include "xauto/run_app.h"
 #include "xauto/shown_run.h"
 #include "xauto/unseen.h"
@@ -28,9 +31,10 @@ namespace xauto::cli {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+constexpr int kPollMs = 20;
 
 struct TopFlags {
-  std::string run;
+  std::string run, record;
   int interval_ms = 1000, count = -1, wait_s = 0;
   bool once = false;
 };
@@ -44,10 +48,10 @@ bool goes_on(const std::string& run) {
 template <class Ends>
 void wait_until(Clock::time_point until, const Ends& ends) {
   while (Clock::now() < until && !ends())
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    std::this_thread::sleep_for(std::chrono::milliseconds(kPollMs));
 }
 
-void show(const std::vector<ShownRun>& runs, const std::vector<Unseen>& unseen) {
+void show(std::span<const ShownRun> runs, const std::vector<Unseen>& unseen) {
   Json shown = Json::array(), others = Json::array();
   for (const ShownRun& run : runs) shown.push_back(json_of(run));
   for (const Unseen& one : unseen)
@@ -56,45 +60,87 @@ void show(const std::vector<ShownRun>& runs, const std::vector<Unseen>& unseen) 
 }
 
 /// One run, named or the only one, with what the kernel knows of it.
-Result<int> show_one(const TopFlags& flags, int count, bool json, bool terminal) {
-  const StopOnSignal stop;
-  std::vector<ShownRun> shown(1);
-  ShownRun& run = shown.front();
-  XAUTO_ASSIGN(run.watched, watch(flags.run, flags.wait_s, *stop.flag()));
-  run.run = run.watched->run;
-  run.uid = run.watched->uid;
-  kernel::TracerOptions tracer;
-  tracer.events = false;
-  tracer.pin = false;
-  tracer.ring_bytes = 4096;
-  std::optional<Live> live;
-  if (auto observed = observe(run.run, 0, tracer, *stop.flag()))
-    run.live = &live.emplace(std::move(*observed));
-  else
-    run.why_not = observed.error().what;
-  const auto look = [&] {
-    auto asked = ask_coordinators(run.run);
-    Look now{counts_of(*run.watched->board), std::move(asked[run.run].xpus), {}};
-    if (live) now.kernel = look_at(*live);
-    return now;
-  };
-  const auto over = [&] { return stop.flag()->load() || !goes_on(run.run); };
-  run.before = look();
-  for (int times = 0; count == 0 || times < count; ++times) {
-    wait_until(Clock::now() + std::chrono::milliseconds(flags.interval_ms), over);
-    const bool last = over();
-    if (last && times > 0) break;  // the first is shown in any case: its counts are there
-    run.now = look();
-    if (json)
-      show(shown, {});
-    else
-      std::cout << (terminal && count != 1 ? "\x1b[H\x1b[2J" : "") << text_of(run, count == 1)
-                << std::flush;
-    if (last || !std::cout) break;
-    run.before = std::move(run.now);
+class OneRun {
+ public:
+  OneRun(const TopFlags& flags, bool json) : flags_(flags), json_(json) {}
+
+  Status open() {
+    XAUTO_TRY(outputs_.expect("--record", flags_.record));
+    XAUTO_ASSIGN(run_.watched, watch(flags_.run, flags_.wait_s, *stop_.flag()));
+    run_.run = run_.watched->run;
+    run_.uid = run_.watched->uid;
+    kernel::TracerOptions tracer;
+    if (flags_.record.empty()) {
+      tracer.events = false;
+      tracer.pin = false;
+      tracer.ring_bytes = 4096;
+    }
+    auto live = observe(run_.run, tracer);
+    if (!live && !flags_.record.empty()) return tl::unexpected<Error>(std::move(live).error());
+    if (!live) {
+      run_.why_not = live.error().what;
+      return {};
+    }
+    run_.live = &live_.emplace(std::move(*live));
+    if (!flags_.record.empty()) run_.record = &record_.emplace(*live_);
+    return {};
   }
-  return kDone;
-}
+
+  /// `count` looks; 0: until the run ends.
+  Status show(int count, bool terminal) {
+    run_.before = look();
+    for (int times = 0; count == 0 || times < count; ++times) {
+      XAUTO_TRY(wait());
+      const bool last = over();
+      if (last && times > 0) break;  // the first is shown in any case: its counts are there
+      run_.now = look();
+      if (json_)
+        cli::show({&run_, 1}, {});
+      else
+        std::cout << (terminal && count != 1 ? "\x1b[H\x1b[2J" : "") << text_of(run_, count == 1)
+                  << std::flush;
+      if (last || !std::cout) break;
+      run_.before = std::move(run_.now);
+    }
+    return {};
+  }
+
+  /// The record, if there is one. Returns the exit status.
+  Result<int> close() {
+    while (record_) {
+      XAUTO_ASSIGN(const std::size_t more, record_->read(0));
+      if (more == 0) break;
+    }
+    if (record_) outputs_.write(flags_.record, record_->file(flags_.record));
+    return outputs_.status(kDone);
+  }
+
+ private:
+  [[nodiscard]] bool over() const { return stop_.flag()->load() || !goes_on(run_.run); }
+
+  [[nodiscard]] Look look() const {
+    auto asked = ask_coordinators(run_.run);
+    Look now{counts_of(*run_.watched->board), std::move(asked[run_.run].xpus), {}};
+    if (live_) now.kernel = look_at(*live_);
+    return now;
+  }
+
+  /// Until the next look.
+  Status wait() {
+    const auto until = Clock::now() + std::chrono::milliseconds(flags_.interval_ms);
+    if (!record_) wait_until(until, [this] { return over(); });
+    while (Clock::now() < until && !over()) XAUTO_TRY(record_->read(kPollMs));
+    return {};
+  }
+
+  const TopFlags& flags_;
+  const bool json_;
+  const StopOnSignal stop_;
+  Outputs outputs_;
+  ShownRun run_;
+  std::optional<Live> live_;
+  std::optional<KernelRecord> record_;
+};
 
 /// What there is to be seen of all runs, at one moment.
 struct AllRuns {
@@ -175,9 +221,12 @@ Result<int> top(const TopFlags& flags, const Options& options) {
   const bool terminal = can_draw(STDOUT_FILENO);
   // A script gets one look, and does not wait for the run's end.
   const int count = flags.once ? 1 : flags.count >= 0 ? flags.count : terminal ? 0 : 1;
-  if (flags.run.empty() && (options.json || count == 1))
+  if (flags.run.empty() && flags.record.empty() && (options.json || count == 1))
     return show_all(flags, count, options.json);
-  return show_one(flags, count, options.json, terminal);
+  OneRun run(flags, options.json);
+  XAUTO_TRY(run.open());
+  XAUTO_TRY(run.show(count, terminal));
+  return run.close();
 }
 
 }  // namespace
@@ -188,7 +237,7 @@ void add_top(Commands& commands) {
       "top",
       "Show a run live: rate, latency, age and losses per chain and module, who runs and who waits "
       "per XPU. --once: all runs, and what each of their workers does.",
-      "xauto top\n  xauto top --once",
+      "xauto top\n  xauto top --once\n  xauto top --once --interval-ms 5000 --record cpus.pftrace",
       [flags](const Options& options) { return top(*flags, options); });
   verb.option("--run", flags->run,
               "which run, if there are several; with BPF also what the kernel knows");
@@ -198,6 +247,10 @@ void add_top(Commands& commands) {
               "terminal, else 1")
       .range(0, 1'000'000);
   verb.flag("--once", flags->once, "one look, without clearing the terminal").excludes("--count");
+  verb.option(
+      "--record", flags->record,
+      "meanwhile record what the kernel does with the run's threads, with BPF: FILE.pftrace for "
+      "Perfetto's viewers, else a JSON object per line");
   verb.option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
       .range(0, 86'400)
       .shown();

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 
+#include <fmt/format.h>
+
 #include "base/utf8.h"
 
 namespace xauto::cli {
@@ -44,6 +46,22 @@ std::string cut(std::string_view text, std::size_t columns) {
 std::string left(std::string_view text, std::size_t columns) {
   std::string out = cut(text, columns - 1);
   return out += std::string(columns - columns_of(out), ' ');
+}
+
+std::string row_of(std::string_view name, std::size_t columns) {
+  constexpr std::string_view kBlanks = "  ";
+  if (columns_of(name) < columns) return std::string(kBlanks) += left(name, columns);
+  std::string out(kBlanks);
+  out += cut(name, kLineColumns - kBlanks.size());
+  return (out += '\n') += std::string(kBlanks.size() + columns, ' ');
+}
+
+std::string ms_in_row(std::int64_t us) {
+  if (us < 0) return "-";
+  return fmt::format("{:.{}f}", static_cast<double>(us) / 1000,
+                     us < 999'995     ? 2
+                     : us < 9'999'950 ? 1
+                                      : 0);
 }
 
 std::string wrapped(std::string_view text, std::size_t indent) {

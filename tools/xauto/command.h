@@ -76,7 +76,6 @@ void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);
 void add_top(Commands&);
-void add_trace(Commands&);
 
 /// What a search tells on stderr: one line that overwrites itself on a terminal, from 0.3 s on;
 /// elsewhere a line every two seconds. Threads: one caller at a time.

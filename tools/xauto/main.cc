@@ -23,7 +23,6 @@ int main(int argc, char** argv) {
   xauto::cli::add_run(commands);
   xauto::cli::add_compare(commands);
   xauto::cli::add_report(commands);
-  xauto::cli::add_trace(commands);
   xauto::cli::add_top(commands);
   xauto::cli::add_monitor(commands);
   xauto::cli::add_param(commands);

@@ -16,6 +16,8 @@
 namespace xauto::cli {
 namespace {
 
+constexpr std::size_t kNameColumns = 27;
+
 struct XpuLoad {
   std::string name, detail;
   double percent = 0;
@@ -124,26 +126,29 @@ void add_kernel(const Live& live, const KernelLook& now, const KernelLook& befor
                               {"jobs", n.jobs},
                               {"latency_p50_us", measured(n.latency_p50_us)},
                               {"latency_p99_us", measured(n.latency_p99_us)},
+                              {"latency_max_us", measured(n.latency_max_us)},
+                              {"run_p50_us", measured(n.run_p50_us)},
+                              {"run_p99_us", measured(n.run_p99_us)},
+                              {"wait_p99_us", measured(n.wait_p99_us)},
                               {"run_ms", n.run_ms},
                               {"wait_ms", n.wait_ms},
-                              {"preemptions", n.preemptions}});
+                              {"preemptions", n.preemptions},
+                              {"migrations", n.migrations}});
   }
 }
 
 std::string chains_text(const Counts& now, const Counts& before) {
-  const auto ms = [](std::int64_t us) {
-    return us < 0 ? std::string("-") : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
-  };
-  std::string out = "  " + left("chain, ms", 21) +
-                    fmt::format("{:>7}{:>8}{:>8}{:>8}{:>8}{:>7}{:>7}{:>4}\n", "per s", "p50", "p99",
+  std::string out = row_of("chain, ms", kNameColumns) +
+                    fmt::format("{:>6}{:>7}{:>7}{:>7}{:>7}{:>6}{:>7}{:>4}\n", "per s", "p50", "p99",
                                 "max", "age", "lost", "missed", "old");
   for (std::size_t i = 0; i < now.chains.size(); ++i) {
     const FlowCounts& chain = now.chains[i];
     const FlowNumbers n = numbers_of(chain, before.chains[i], now.at_ns, before.at_ns);
-    out += "  " + left(chain.name, 21) +
-           fmt::format("{:>7.1f}{:>8}{:>8}{:>8}{:>8}{:>7}{:>7}{:>4}\n", n.rate_hz, ms(n.p50_us),
-                       ms(n.p99_us), ms(n.max_us), chain.gone ? "off" : ms(n.age_us), chain.lost,
-                       chain.deadline_misses, chain.age_misses);
+    out += row_of(chain.name, kNameColumns) +
+           fmt::format("{:>6.1f}{:>7}{:>7}{:>7}{:>7}{:>6}{:>7}{:>4}\n", n.rate_hz,
+                       ms_in_row(n.p50_us), ms_in_row(n.p99_us), ms_in_row(n.max_us),
+                       chain.gone ? "off" : ms_in_row(n.age_us), chain.lost, chain.deadline_misses,
+                       chain.age_misses);
   }
   return out;
 }
@@ -151,12 +156,12 @@ std::string chains_text(const Counts& now, const Counts& before) {
 std::string modules_text(const Counts& now, const Counts& before) {
   const double s = static_cast<double>(now.at_ns - before.at_ns) * 1e-9;
   std::string out =
-      "\n  " + left("module", 21) +
-      fmt::format("{:>7}{:>13}{:>9}{:>8}\n", "per s", "activations", "dropped", "failed");
+      "\n" + row_of("module", kNameColumns) +
+      fmt::format("{:>6}{:>13}{:>9}{:>8}\n", "per s", "activations", "dropped", "failed");
   for (std::size_t m = 0; m < now.modules.size(); ++m) {
     const ModuleCounts& module = now.modules[m];
-    out += "  " + left(module.name, 21) +
-           fmt::format("{:>7.1f}{:>13}{:>9}{:>8}{}{}\n",
+    out += row_of(module.name, kNameColumns) +
+           fmt::format("{:>6.1f}{:>13}{:>9}{:>8}{}{}\n",
                        static_cast<double>(module.activations - before.modules[m].activations) / s,
                        module.activations, module.dropped, module.failed,
                        module.off == 0 ? "" : fmt::format("  off: {}", module.off),
@@ -212,11 +217,13 @@ std::string workers_text(const std::vector<XpuStatus>& xpus) {
 }
 
 /// Loads and XNodes, as BPF saw them. `tables`: each of them has all XNodes; shown are those with jobs.
-std::string kernel_text(const Live& live, const KernelLook& now, const KernelLook& before,
-                        bool tables) {
+std::string kernel_text(const Live& live, const KernelRecord* record, const KernelLook& now,
+                        const KernelLook& before, bool tables) {
   std::string out;
   const xauto_bpf_losses losses = live.tracer.losses();
-  if (losses.jobs > 0)
+  if (record != nullptr)
+    out += "\n" + record->losses_line() + "\n";
+  else if (losses.jobs > 0)
     out += fmt::format("\nINCOMPLETE: {} short jobs are in no histogram\n", losses.jobs);
   out += fmt::format("\n  {}\n", live.maps.sched().running != 0 ? "sched_ext" : "no sched_ext");
   for (const XpuLoad& load : loads_of(live, now, before)) {
@@ -233,7 +240,7 @@ std::string kernel_text(const Live& live, const KernelLook& now, const KernelLoo
     if (live.names[i].xnode.empty()) continue;  // room for apps that join the run
     const XNodeNumbers n = numbers_of(now.hist[i], before.hist[i]);
     if (tables && n.jobs == 0) continue;
-    out += "  " + left(live.names[i].xnode, 22) + left(live.names[i].xpu, 8) +
+    out += row_of(live.names[i].xnode, 22) + left(live.names[i].xpu, 8) +
            fmt::format("{:>7.1f}{:>7}{:>7}{:>9.2f}{:>10.2f}{:>8}\n",
                        static_cast<double>(n.jobs) / s, measured_text(n.latency_p50_us),
                        measured_text(n.latency_p99_us), n.run_ms / s, n.wait_ms / s, n.preemptions);
@@ -276,6 +283,7 @@ Json json_of(const ShownRun& shown) {
     add_kernel(*shown.live, *shown.now.kernel, *shown.before.kernel, j);
   else
     j["kernel"] = shown.why_not;
+  if (shown.record != nullptr) j["record"] = shown.record->json();
   return j;
 }
 
@@ -292,8 +300,8 @@ std::string text_of(const ShownRun& shown, bool workers) {
   out +=
       workers && !shown.now.xpus.empty() ? workers_text(shown.now.xpus) : xpus_text(shown.now.xpus);
   if (shown.live != nullptr && shown.now.kernel && shown.before.kernel)
-    out +=
-        kernel_text(*shown.live, *shown.now.kernel, *shown.before.kernel, !now.scenarios.empty());
+    out += kernel_text(*shown.live, shown.record, *shown.now.kernel, *shown.before.kernel,
+                       !now.scenarios.empty());
   else
     out += "\n" + wrapped("  load and XNodes one by one need BPF: " + shown.why_not, 2) + "\n";
   return out;

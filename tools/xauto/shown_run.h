@@ -12,6 +12,7 @@
 #include "model/xpu_status.h"
 
 #include "xauto/counts.h"
+#include "xauto/kernel_record.h"
 #include "xauto/live.h"
 
 namespace xauto::cli {
@@ -37,7 +38,8 @@ struct ShownRun {
   unsigned uid = 0;
   std::optional<Watched> watched;  ///< none: its coordinators answer alone, and `now` has no counts
   const Live* live = nullptr;      ///< null: nobody looks into the kernel
-  std::string why_not;             ///< there is no `live`
+  const KernelRecord* record = nullptr;  ///< null: nothing is recorded
+  std::string why_not;                   ///< there is no `live`
   Look before, now;
 };
 

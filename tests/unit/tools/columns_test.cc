@@ -32,6 +32,20 @@ TEST(Columns, OfAChainBothEndsStay) {
     EXPECT_LE(columns_of(cut("camera/front/raw -> planner.control", columns)), columns);
 }
 
+TEST(Columns, ANameWithoutRoomHasALineOfItsOwn) {
+  EXPECT_EQ(row_of("imu -> plan", 12), "  imu -> plan ");
+  EXPECT_EQ(row_of("imu -> plan", 11), "  imu -> plan\n             ");
+  EXPECT_EQ(columns_of(row_of(std::string(200, 'x'), 20)), 80U + 1 + 22);
+}
+
+TEST(Columns, TimesHaveSixColumns) {
+  EXPECT_EQ(ms_in_row(-1), "-");
+  EXPECT_EQ(ms_in_row(0), "0.00");
+  EXPECT_EQ(ms_in_row(12'344), "12.34");
+  for (const std::int64_t us : {999'994, 999'995, 9'999'949, 9'999'950, 999'999'499})
+    EXPECT_LE(columns_of(ms_in_row(us)), 6U) << ms_in_row(us);
+}
+
 TEST(Columns, LinesEndBeforeColumn80) {
   EXPECT_EQ(wrapped("  short\n  lines\n", 4), "  short\n  lines\n");
   const std::string word(30, 'x'), long_word(100, 'y');
