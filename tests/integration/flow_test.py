@@ -135,7 +135,7 @@ class Flow(unittest.TestCase):
         self.good("solve", "--app", APP, *solve, "--out", self.path("p.json"))
         self.good("run", "--app", APP, "--policy", self.path("p.json"), "--platform", "small", "--emulate",
                   "--activations", 8, "--lockstep", "--record", self.path("drive.mcap"), "--", DRIVING)
-        info = json.loads(self.good("record", "info", self.path("drive.mcap"), "--json"))
+        info = json.loads(self.good("recording", "info", self.path("drive.mcap"), "--json"))
         self.assertEqual({t["name"]: t["messages"] for t in info["topics"]},
                          {"/camera/front": 8, "/camera/rear": 8, "/lidar/top": 8, "/xauto/releases": 8})
 
@@ -245,9 +245,20 @@ class Flow(unittest.TestCase):
 
     def test_help_of_every_verb_shows_an_example(self):
         verbs = ["doctor", "generate", "profile", "solve", "simulate", "check", "run", "compare", "top",
-                 "record", "explain", "completion", "graph"]
+                 "recording", "explain", "completion", "graph"]
         for verb in verbs:
             self.assertIn("Example:\n  ", self.good(verb, "--help"), verb)
+
+    def test_what_is_mistyped_is_named_with_what_was_meant(self):
+        for words, said in ((["record", "info", "x"], "there is no verb 'record'; did you mean 'recording'?"),
+                            (["slove"], "there is no verb 'slove'; did you mean 'solve'?"),
+                            (["solve", "--ap", "a.json"], "--ap is no option of solve; did you mean --app?"),
+                            (["run", "--timelin", "x"], "--timelin is no option of run; did you mean --timeline?"),
+                            (["solve", "-app", "a.json"], "-app is no option of solve; did you mean --app?"),
+                            (["status"], "there is no verb 'status'\n")):
+            done = xauto(*words)
+            self.assertEqual(done.returncode, 2)
+            self.assertIn(said, done.stderr)
 
     def test_completion_is_valid_shell(self):
         script = self.good("completion", "bash")

@@ -70,7 +70,7 @@ void add_graph(Commands&);
 void add_monitor(Commands&);
 void add_param(Commands&);
 void add_profile(Commands&);
-void add_record(Commands&);
+void add_recording(Commands&);
 void add_report(Commands&);
 void add_run(Commands&);
 void add_simulate(Commands&);
