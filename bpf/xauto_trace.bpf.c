@@ -2,7 +2,7 @@
 /*
  * What happens to the XNode threads of one run, whoever schedules them: woken, running, preempted by
  * whom, moved. On any kernel with BTF; sched_ext is not needed. Every record goes to a ring buffer (for
- * `xauto trace`) and to a perf event array (for `bpftool map event_pipe`); sums and histograms per
+ * `xauto top --record`) and to a perf event array (for `bpftool map event_pipe`); sums and histograms per
  * XNode stay in maps (for `xauto top`). What could not be told is counted in "losses".
  *
  * A thread tells which job it runs by a store that no tracepoint sees. So a stretch on the CPU during
@@ -28,7 +28,6 @@ char _license[] SEC("license") = "GPL";
 
 /* Set by the loader before it loads. Plain C types: the C++ skeleton has no u32. */
 const volatile bool record_events = true;
-const volatile bool print_events = false; /* also to the kernel's trace pipe: bpftool prog tracelog */
 
 XAUTO_MAP_HEAD;
 XAUTO_MAP_SLOTS;
@@ -133,8 +132,6 @@ static __always_inline void emit(void *ctx, struct xauto_bpf_event *e)
 
 	if (!l)
 		return;
-	if (print_events)
-		bpf_printk("xauto kind %d tid %d delta %llu ns", e->kind, e->tid, e->delta_ns);
 	if (record_events) {
 		if (bpf_ringbuf_output(&events, e, sizeof(*e), 0))
 			add(&l->events, 1);

@@ -186,7 +186,7 @@ class Bench:
     def tracing(self):
         pairs, activations = (1, 60) if self.quick else (5, 100)
         text = self.run("bench/tracing/overhead.sh", self.bin, pairs, activations)
-        self.section("What `xauto trace` costs", "measured", f"{pairs} pair{'s' * (pairs > 1)} of emulated runs with and without it, {activations} activations each.")
+        self.section("What `top --record` costs", "measured", f"{pairs} pair{'s' * (pairs > 1)} of emulated runs with and without it, {activations} activations each.")
         self.page += ["```", text.strip(), "```", ""]
 
     ALL = ("driving", "runtime", "cpu_priority", "tracing", "worst_case", "synthetic")

@@ -140,7 +140,7 @@ class Case:
         return (self.folder / "err").read_text()
 
     def board(self):
-        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 50, "--once", "--json"))
+        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 50, "--once", "--json"))["runs"][0]
 
     def mode(self, *words):
         return json.loads(self.xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
@@ -357,8 +357,8 @@ def tables_changed(changes):
 
 def suspended(case):
     """(XPU, XNode, its job) of all that are; and how many coordinators told."""
-    sessions = json.loads(case.xauto("status", "--json"))["sessions"]
-    xpus = [xpu for run, of in sessions.items() if run.endswith(f"/{case.tool.pid}-0") for xpu in of]
+    runs = json.loads(case.xauto("top", "--once", "--json", "--interval-ms", 50))["runs"]
+    xpus = [xpu for run in runs if run["run"] == f"{case.tool.pid}-0" for xpu in run["xpus"]]
     return {(xpu["xpu"], w["xnode"], w["job"]) for xpu in xpus for w in xpu["workers"] if w["state"] == "suspended"}, len(xpus)
 
 

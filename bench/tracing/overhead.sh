@@ -20,7 +20,7 @@ for ((i = 1; i <= pairs; i++)); do
   sysctl -q kernel.bpf_stats_enabled=1
   drive "traced-$i" &
   run=$!
-  "$bin/xauto" trace --json >"$dir/trace-$i.json" 2>/dev/null &
+  "$bin/xauto" top --wait-s 10 --json --count 0 --record "$dir/trace-$i.jsonl" >/dev/null 2>&1 &
   trace=$!
   sleep 1
   stats() { "$bpftool" -j prog list | python3 -c '
@@ -47,7 +47,7 @@ for i in range(1, pairs + 1):
     ns, count, wall = map(int, open(f"{dir}/stats-{i}").read().split())
     share.append(ns / (wall * cpus))
     each.append(ns / max(count, 1))
-lost = sum(json.load(open(f"{dir}/trace-{i}.json"))["lost"]["events"] for i in range(1, pairs + 1))
+lost = sum(json.loads(open(f"{dir}/trace-{i}.jsonl").readline())["lost_events"] for i in range(1, pairs + 1))
 print(f"median end-to-end latency, traced against not, {pairs} pairs: median {100 * statistics.median(ratio):+.2f} %"
       f" (from {100 * min(ratio):+.2f} to {100 * max(ratio):+.2f} %)")
 print(f"time in the tracing programs: {100 * statistics.median(share):.3f} % of the CPUs, {statistics.median(each):.0f} ns per call;"

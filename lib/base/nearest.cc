@@ -28,12 +28,15 @@ std::size_t distance(std::string_view a, std::string_view b) {
 
 std::string nearest(std::string_view given, const std::vector<std::string>& words) {
   constexpr std::size_t kLongest = 60;  // what is longer is no slip
+  constexpr std::size_t kLeastBeginning = 3;
   std::string best;
   std::size_t least = SIZE_MAX;
   if (given.size() > kLongest) return best;
   for (const std::string& word : words) {
-    const std::size_t wrong = distance(given, word);
-    if (wrong > std::max<std::size_t>(1, word.size() / 3) || wrong >= least) continue;
+    const std::size_t most = std::max<std::size_t>(1, word.size() / 3);
+    const bool begins = given.size() >= kLeastBeginning && word.starts_with(given);
+    const std::size_t wrong = begins ? 1 : distance(given, word);
+    if (wrong > most || wrong >= least) continue;
     least = wrong;
     best = word;
   }

@@ -73,7 +73,7 @@ Result<UniqueFd> connect_within(const std::string& address, int timeout_ms) {
       return fail(ErrorCode::kTimeout, "does not accept connections: its queue is full", address);
     if (errno != EINTR)
       return fail(ErrorCode::kUnavailable, errno_text("cannot connect"), address,
-                  "is the process that serves it still running? see `xauto status`");
+                  "is the process that serves it still running? see `xauto top --once`");
   }
   constexpr timeval kNone{};
   setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &kNone, sizeof kNone);

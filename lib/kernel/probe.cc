@@ -81,10 +81,11 @@ class Probe {
     std::string meaning = "a release that nobody has read for XAuto";
     if (release == "35")
       meaning =
-          "its own kernel has no BPF (no sched_ext, no `xauto trace`) and RT groups; nvdla is "
+          "its own kernel has no BPF (no sched_ext, no `xauto top --record`) and RT groups; nvdla "
+          "is "
           "built in";
     else if (release == "36")
-      meaning = "its own kernel has no BTF: no sched_ext, no `xauto trace`";
+      meaning = "its own kernel has no BTF: no sched_ext, no `xauto top --record`";
     else if (release == "38" || release == "39")
       meaning = rm()
                     ? "its GPU driver is NVIDIA's RM: xauto.ko suspends nothing here, each process "
@@ -207,16 +208,16 @@ class Probe {
 
   void bpf() {
     if (!limits_.has_bpf)
-      add("bpf", Verdict::kMissing, "this kernel has no bpf(2)", "no sched_ext, no `xauto trace`",
-          "a kernel with CONFIG_BPF_SYSCALL has it");
+      add("bpf", Verdict::kMissing, "this kernel has no bpf(2)",
+          "no sched_ext, no `xauto top --record`", "a kernel with CONFIG_BPF_SYSCALL has it");
     else if (const Status built = bpf_is_built_in(); !built)
-      add("bpf", Verdict::kMissing, built.error().what, "no sched_ext, no `xauto trace`",
+      add("bpf", Verdict::kMissing, built.error().what, "no sched_ext, no `xauto top --record`",
           built.error().hint);
     else if (!limits_.may_use_bpf)
       add("bpf", Verdict::kDegraded, "built in, but not permitted to this user",
-          "no sched_ext, no `xauto trace`", bpf_hint());
+          "no sched_ext, no `xauto top --record`", bpf_hint());
     else
-      add("bpf", Verdict::kOk, "built in and permitted", "`xauto trace` and `xauto top` work");
+      add("bpf", Verdict::kOk, "built in and permitted", "`xauto top` sees the kernel");
   }
 
   void btf() {

@@ -71,7 +71,7 @@ bool good_name(const std::string& run) {
 Status check_name(const std::string& run) {
   if (good_name(run)) return {};
   return fail(ErrorCode::kInvalid, "is no name for a run", "'" + run + "'",
-              "letters, digits and dashes; `xauto top --list` shows the runs");
+              "letters, digits and dashes; `xauto top --once` shows the runs");
 }
 
 std::vector<std::string> folders() {

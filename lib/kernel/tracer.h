@@ -20,10 +20,8 @@ namespace xauto::kernel {
 struct TracerOptions {
   /// Size of the ring buffer; rounded up to a power of two of pages.
   std::uint32_t ring_bytes = 1u << 20;
-  /// false: histograms only, for `xauto top`.
+  /// false: histograms only, all that `xauto top` shows.
   bool events = true;
-  /// Also into the kernel's trace pipe, for `bpftool prog tracelog`. Slow.
-  bool print = false;
   /// Pin "events", "pipe", "hist", "cpus" and "losses" below the run's folder.
   bool pin = true;
 };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a coordinator says of its XPU and workers: `xauto status` and `xauto top` ask for it.
+// What a coordinator says of its XPU and workers: `xauto top` asks for it.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `xauto trace` saw of the CPUs, as a Perfetto file of a track per CPU. Its tracks have
+// What `xauto top --record` saw of the CPUs, as a Perfetto file of a track per CPU. Its tracks have
 // numbers of their own: put behind a run's file (`cat run.pftrace cpus.pftrace`) both are one
 // picture, on one clock. Pure.
 #pragma once

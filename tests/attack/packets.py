@@ -8,7 +8,7 @@ Three runs in turn, each attacked until its part of the time is over:
   dds      the UDP ports of a run that hears and speaks over DDS: real RTPS packets of its own, seen on the loopback device and
            sent again with bytes changed, cut and joined (needs root, and the Cyclone DDS plug-in)
   http     the Prometheus exporter: random heads, cut and slow ones
-The run has to end by itself when it is told to, with all its releases accounted for, and to answer `xauto status` meanwhile.
+The run has to end by itself when it is told to, with all its releases accounted for, and to answer `xauto top` meanwhile.
 All goes to this machine's loopback and its own sockets. Shares no code with lib/. The last line is a count."""
 import argparse
 import array
@@ -69,8 +69,8 @@ class Target:
         try:
             done = subprocess.run([self.xauto, "top", "--run", f"{self.tool.pid}-0", "--wait-s", "2", "--once", "--interval-ms", "50", "--json"],
                                   capture_output=True, text=True, timeout=40)
-            return min(m["activations"] for m in json.loads(done.stdout)["modules"])
-        except (ValueError, KeyError, subprocess.TimeoutExpired):
+            return min(m["activations"] for m in json.loads(done.stdout)["runs"][0]["modules"])
+        except (ValueError, KeyError, IndexError, subprocess.TimeoutExpired):
             return 0
 
     def end(self):
@@ -85,11 +85,11 @@ class Target:
             if after <= before:
                 bad.append(f"it does not go on: {before} activations, then {after}")
             try:
-                answer = subprocess.run([self.xauto, "status", "--json"], capture_output=True, text=True, timeout=30)
+                answer = subprocess.run([self.xauto, "top", "--once", "--json"], capture_output=True, text=True, timeout=30)
                 if f"{self.tool.pid}-" not in answer.stdout:
-                    bad.append(f"status does not show it: {answer.stdout[:300]} {answer.stderr[:300]}")
+                    bad.append(f"top does not show it: {answer.stdout[:300]} {answer.stderr[:300]}")
             except subprocess.TimeoutExpired:
-                bad.append("`xauto status` does not end within 30 s")
+                bad.append("`xauto top` does not end within 30 s")
             self.tool.send_signal(signal.SIGTERM)
             try:
                 self.tool.wait(timeout=60)

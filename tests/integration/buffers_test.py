@@ -101,7 +101,7 @@ class Buffers(unittest.TestCase):
                     for file in ("told", "again", "drive." + suffix):
                         (self.folder / file).unlink(missing_ok=True)
                     self.run_app("--lockstep", "--activations", 8, "--record", "drive." + suffix, *flags)
-                    info = xauto("record", "info", "drive." + suffix, "--json", cwd=self.folder)
+                    info = xauto("recording", "info", "drive." + suffix, "--json", cwd=self.folder)
                     self.assertEqual(info.returncode, 0, info.stderr)
                     self.run_app("--lockstep", "--activations", 8, "--input", "drive." + suffix, *flags, file="again")
                     told = self.told("again")

@@ -52,11 +52,16 @@ def without_bpf():
         ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)
 
 
+def top(tool, *options, wait_s=10):
+    """What `xauto top` says of this run, as it is now; {} before it has begun."""
+    done = subprocess.run([XAUTO, "top", "--run", f"{tool.pid}-0", "--wait-s", str(wait_s), "--interval-ms", "50", "--once",
+                           "--json", *map(str, options)], timeout=120, capture_output=True, text=True, preexec_fn=without_bpf)
+    return json.loads(done.stdout)["runs"][0] if done.stdout else {}
+
+
 def activations(tool):
     """How many activations each module of this run has done by now, {module: number}; {} before it has begun."""
-    done = subprocess.run([XAUTO, "top", "--run", f"{tool.pid}-0", "--wait-s", "5", "--interval-ms", "50", "--once", "--json"],
-                          timeout=120, capture_output=True, text=True, preexec_fn=without_bpf)
-    return {m["name"]: m["activations"] for m in json.loads(done.stdout)["modules"]} if done.stdout else {}
+    return {m["name"]: m["activations"] for m in top(tool, wait_s=5).get("modules", [])}
 
 
 TESTAPP = str(BIN / "testapp")

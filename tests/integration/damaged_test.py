@@ -34,26 +34,26 @@ class Damaged(Runs):
 
     def test_one_bad_stamp_does_not_cost_the_others(self):
         path = self.write("a.mcap", bag([2**64 - 5 if k == 10 else T + k * 10 * MS for k in range(20)]))
-        told = xauto("record", "check", path)
+        told = xauto("recording", "check", path)
         self.assertEqual(told.returncode, 1, told.stderr)
         self.assertIn("18446744073709551611", told.stderr)
         self.assertIn("19 messages can be read", told.stdout)
         for out in ("b.mcap", "b.db3", "b"):
-            mended = xauto("record", "repair", path, self.path(out), "--json")
+            mended = xauto("recording", "repair", path, self.path(out), "--json")
             self.assertEqual(mended.returncode, 0, mended.stderr)
             self.assertEqual(json.loads(mended.stdout)["messages"], 19)
             self.assertIn("18446744073709551611", mended.stderr)
-            whole = xauto("record", "check", self.path(out))
+            whole = xauto("recording", "check", self.path(out))
             self.assertEqual((whole.returncode, "all 19 messages" in whole.stdout), (0, True), whole.stdout + whole.stderr)
         # OUT is never overwritten, and never a part of IN.
-        again = xauto("record", "repair", path, self.path("b.mcap"))
+        again = xauto("recording", "repair", path, self.path("b.mcap"))
         self.assertEqual(again.returncode, 2)
         self.assertIn("exists already", again.stderr)
-        inside = xauto("record", "repair", self.path("b"), self.path("b/c.mcap"))
+        inside = xauto("recording", "repair", self.path("b"), self.path("b/c.mcap"))
         self.assertEqual((inside.returncode, os.path.exists(self.path("b/c.mcap"))), (2, False), inside.stderr)
-        self.assertEqual(xauto("record", "repair", path).returncode, 2)
-        self.assertEqual(xauto("record", "check", path, self.path("b.mcap")).returncode, 2)
-        nothing = xauto("record", "repair", self.write("none.mcap", b"no recording"), self.path("d.mcap"))
+        self.assertEqual(xauto("recording", "repair", path).returncode, 2)
+        self.assertEqual(xauto("recording", "check", path, self.path("b.mcap")).returncode, 2)
+        nothing = xauto("recording", "repair", self.write("none.mcap", b"no recording"), self.path("d.mcap"))
         self.assertEqual((nothing.returncode, os.path.exists(self.path("d.mcap"))), (2, False), nothing.stderr)
 
     def test_a_damaged_file_of_a_folder_is_told(self):
@@ -62,16 +62,16 @@ class Damaged(Runs):
             for damaged in (b"", M.MAGIC, FRONT, whole[:len(whole) - 100], b"no recording"):
                 for i in range(3):
                     self.write(f"bag/bag_{i}.mcap", damaged if i == at else whole)
-                told = xauto("record", "check", self.path("bag"))
+                told = xauto("recording", "check", self.path("bag"))
                 self.assertEqual(told.returncode, 1, (at, damaged[:10], told.stdout))
                 self.assertIn(f"bag_{at}.mcap", told.stderr)
 
     def test_a_gap_is_told_and_a_replay_gets_over_it(self):
         times = [30_000 * MS + i * 100 * MS for i in range(5)] + [T + i * 100 * MS for i in range(10)]
         path = self.write("gap.mcap", bag(times))
-        told = xauto("record", "check", path)
+        told = xauto("recording", "check", path)
         self.assertIn("after message 5: 53.9 years without a message, from 1970-01-01 00:00:30.400", told.stderr)
-        self.assertEqual(len(json.loads(xauto("record", "info", path, "--json").stdout)["gaps"]), 1)
+        self.assertEqual(len(json.loads(xauto("recording", "info", path, "--json").stdout)["gaps"]), 1)
         flags = ["--input", path, "--rate", "10", *self.deploy(**QUEUES)]
         run, _ = self.run_app(*flags, "--max-gap", "0.2", activations=0)
         self.assertEqual((run["activations"], run["lost_activations"]), (15, 0))

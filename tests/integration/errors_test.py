@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every malformed file of tests/golden/errors makes the tool exit with 2 and say what its case says. Of a recording of
-which some messages can be read, `record check` says it as a warning, then how many, and exits with 1."""
+which some messages can be read, `recording check` says it as a warning, then how many, and exits with 1."""
 import json
 import os
 import pathlib
@@ -24,8 +24,8 @@ COMMANDS = {
                          "--policy", f],
     "policy-keys": lambda f: ["check", "--app", GOLDEN / "app-rates.json", "--platform", GOLDEN / "platform.json", "--policy", f],
     "profile": lambda f: ["profile", "--read", f],
-    "recording": lambda f: ["record", "check", f],
-    "mcap": lambda f: ["record", "check", f],
+    "recording": lambda f: ["recording", "check", f],
+    "mcap": lambda f: ["recording", "check", f],
 }
 
 

@@ -135,7 +135,7 @@ class Flow(unittest.TestCase):
         self.good("solve", "--app", APP, *solve, "--out", self.path("p.json"))
         self.good("run", "--app", APP, "--policy", self.path("p.json"), "--platform", "small", "--emulate",
                   "--activations", 8, "--lockstep", "--record", self.path("drive.mcap"), "--", DRIVING)
-        info = json.loads(self.good("record", "info", self.path("drive.mcap"), "--json"))
+        info = json.loads(self.good("recording", "info", self.path("drive.mcap"), "--json"))
         self.assertEqual({t["name"]: t["messages"] for t in info["topics"]},
                          {"/camera/front": 8, "/camera/rear": 8, "/lidar/top": 8, "/xauto/releases": 8})
 
@@ -219,18 +219,20 @@ class Flow(unittest.TestCase):
         self.addCleanup(end)
         return run
 
-    def test_status_tells_who_runs(self):
+    def all_runs(self):
+        return {run["run"]: run for run in json.loads(self.good("top", "--once", "--json", "--interval-ms", 50))["runs"]}
+
+    def test_one_look_tells_who_runs(self):
         run = self.start()
         seen = set()
 
         def both():
-            sessions = json.loads(self.good("status", "--json"))["sessions"]
-            seen.update(w["state"] for xpu in sessions.get(f"xauto/{run.pid}-0", []) for w in xpu["workers"])
+            seen.update(w["state"] for xpu in self.all_runs().get(f"{run.pid}-0", {"xpus": []})["xpus"] for w in xpu["workers"])
             return {"running", "suspended"} <= seen
         wait_for("somebody who runs, and somebody who is suspended", both, run)
         run.terminate()
         run.communicate(timeout=60)
-        self.assertNotIn(f"xauto/{run.pid}-0", json.loads(self.good("status", "--json"))["sessions"])
+        self.assertNotIn(f"{run.pid}-0", self.all_runs())
 
     def test_generated_apps_pass_the_whole_chain(self):
         for seed in (1, 2):
@@ -242,10 +244,21 @@ class Flow(unittest.TestCase):
                           self.path("g.policy.json"))
 
     def test_help_of_every_verb_shows_an_example(self):
-        verbs = ["doctor", "generate", "profile", "solve", "simulate", "check", "run", "compare", "status",
-                 "record", "explain", "completion", "graph"]
+        verbs = ["doctor", "generate", "profile", "solve", "simulate", "check", "run", "compare", "top",
+                 "recording", "explain", "completion", "graph"]
         for verb in verbs:
             self.assertIn("Example:\n  ", self.good(verb, "--help"), verb)
+
+    def test_what_is_mistyped_is_named_with_what_was_meant(self):
+        for words, said in ((["record", "info", "x"], "there is no verb 'record'; did you mean 'recording'?"),
+                            (["slove"], "there is no verb 'slove'; did you mean 'solve'?"),
+                            (["solve", "--ap", "a.json"], "--ap is no option of solve; did you mean --app?"),
+                            (["run", "--timelin", "x"], "--timelin is no option of run; did you mean --timeline?"),
+                            (["solve", "-app", "a.json"], "-app is no option of solve; did you mean --app?"),
+                            (["status"], "there is no verb 'status'\n")):
+            done = xauto(*words)
+            self.assertEqual(done.returncode, 2)
+            self.assertIn(said, done.stderr)
 
     def test_completion_is_valid_shell(self):
         script = self.good("completion", "bash")
@@ -310,27 +323,27 @@ class Flow(unittest.TestCase):
                      ros2["p10_us"] <= heft["p50_us"] <= ros2["p90_us"])
         self.assertEqual("the difference is noise" in answer, not apart, answer)
 
-    def test_status_tells_of_another_users_run(self):
+    def test_one_look_tells_of_another_users_run(self):
         if os.geteuid() != 0:
             self.skipTest("no right to become another user")
         run = self.start()
-        said = (r"not seen: coordinator pid \d+ of root answers only that user and root; `sudo xauto status` asks it")
-        answer = lambda: subprocess.run([XAUTO, "status"], capture_output=True, text=True, user=65534, group=65534,
+        said = (r"not seen: coordinator pid \d+ of root answers only that user and root; `sudo xauto top --once` asks it")
+        answer = lambda: subprocess.run([XAUTO, "top", "--once"], capture_output=True, text=True, user=65534, group=65534,
                                         cwd="/").stdout
         wait_for(said, lambda: re.search(said, answer()), run)
         self.assertNotIn("no app is running", answer())
 
-    def test_status_tells_of_a_run_that_it_cannot_ask(self):
+    def test_one_look_tells_of_a_run_that_it_cannot_ask(self):
         """A coordinator's program under our name in a network namespace of its own."""
         new = subprocess.run(["unshare", "--net", "true"], capture_output=True)
         if new.returncode != 0:
             self.skipTest("no right to make a network namespace")
         run = self.start("unshare", "--net")
         said = (r"not seen: coordinator pid (\d+) of \S+ is in another network namespace; "
-                r"`sudo nsenter -t \d+ -n xauto status`")
-        pid = wait_for(said, lambda: re.search(said, self.good("status")), run).group(1)
-        self.assertNotIn("no app is running", self.good("status"))
-        there = subprocess.run(["nsenter", "-t", pid, "-n", XAUTO, "status"], capture_output=True, text=True)
+                r"`sudo nsenter -t \d+ -n xauto top --once`")
+        pid = wait_for(said, lambda: re.search(said, self.good("top", "--once")), run).group(1)
+        self.assertNotIn("no app is running", self.good("top", "--once"))
+        there = subprocess.run(["nsenter", "-t", pid, "-n", XAUTO, "top", "--once"], capture_output=True, text=True)
         self.assertIn("coordinator pid " + pid, there.stdout)
 
     def test_doctor(self):

@@ -12,7 +12,7 @@ import tempfile
 import unittest
 
 import pftrace
-from common import BIN, QUEUES, XAUTO, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, top, wait_for, xauto
 
 RATES = pathlib.Path(__file__).parents[2] / "examples" / "driving" / "rates.json"
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}},
@@ -67,13 +67,13 @@ class KeyTables(unittest.TestCase):
                                      str(BIN / "driving-rates")], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
         run = ("--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
-        top = lambda: json.loads(xauto("top", *run, "--interval-ms", 50, "--once").stdout or "{}")
-        wait_for("releases", lambda: top().get("releases", 0) > 20, tool)
+        released = lambda: top(tool).get("releases", 0)
+        wait_for("releases", lambda: released() > 20, tool)
         for name in ["GPU at half", "CPUs slow", "nominal", "GPU at half", "nominal"]:
             self.assertEqual(xauto("param", "scenario", *run, name).returncode, 0)
-            at = top()["releases"]
-            wait_for("releases after the wish", lambda: top().get("releases", 0) > at + 120, tool)
-        self.live = top()["scenario"]
+            at = released()
+            wait_for("releases after the wish", lambda: released() > at + 120, tool)
+        self.live = top(tool)["scenario"]
         tool.terminate()
         self.assertEqual(tool.wait(timeout=60), 0, (self.folder / "err").read_text())
         report = json.loads((self.folder / "out").read_text())["runs"][0]

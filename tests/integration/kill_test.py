@@ -133,7 +133,7 @@ class Kill(unittest.TestCase):
         for pid in victims:
             os.kill(pid, signal.SIGSTOP)
         # A coordinator is seldom needed, and one that nobody needs is not missed: so somebody asks.
-        asks = subprocess.Popen([XAUTO, "status"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        asks = subprocess.Popen([XAUTO, "top", "--once"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self.wait_for_others(tool, victims)
         asks.wait(timeout=60)
         self.wait_until_it_runs(tool)

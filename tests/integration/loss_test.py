@@ -10,7 +10,7 @@ import tempfile
 import unittest
 
 import pftrace
-from common import BIN, QUEUES, XAUTO, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, top, wait_for, xauto
 
 LOSSAPP = str(BIN / "lossapp")
 SCENARIOS = [{"name": "nominal"},
@@ -202,8 +202,7 @@ class Loss(ByTheMachine, unittest.TestCase):
         run = f"{tool.pid}-0"
 
         def released():
-            done = xauto("top", "--run", run, "--wait-s", 5, "--interval-ms", 50, "--once", "--json")
-            return json.loads(done.stdout)["releases"] if done.stdout else 0
+            return top(tool).get("releases", 0)
         wait_for("releases", lambda: released() > 2, tool)
         for name in ["slower", "slowest", "nominal", "slowest", "slower", "slow", "slower"]:
             self.assertEqual(xauto("param", "scenario", "--run", run, name).returncode, 0)
@@ -304,13 +303,13 @@ class LossByKeys(ByTheMachine, unittest.TestCase):
                  str(self.folder / "ran"), "rates"], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
         run = ("--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
-        top = lambda: json.loads(xauto("top", *run, "--interval-ms", 50, "--once").stdout or "{}")
-        wait_for("releases", lambda: top().get("releases", 0) > 10, tool)
+        released = lambda: top(tool).get("releases", 0)
+        wait_for("releases", lambda: released() > 10, tool)
         asked = ["slower", "slowest", "nominal", "slowest", "slow", "slower"]
         for name in asked:
             self.assertEqual(xauto("param", "scenario", *run, name).returncode, 0)
-            at = top()["releases"]
-            wait_for("releases after the wish", lambda: top().get("releases", 0) > at + 20, tool)
+            at = released()
+            wait_for("releases after the wish", lambda: released() > at + 20, tool)
         tool.terminate()
         self.assertEqual(tool.wait(timeout=60), 0, (self.folder / "err").read_text())
         report = json.loads((self.folder / "out").read_text())["runs"][0]

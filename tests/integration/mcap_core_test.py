@@ -74,7 +74,7 @@ class Core(Case):
                 made = self.path(f"core-{chunked}.mcap")
                 peer("write", made, given={"topic": "/src", "type": "xauto_msgs/msg/Message", "schema": MESSAGE_SCHEMA, "chunked": chunked,
                                            "messages": [[str(t), d.hex()] for t, d in self.messages()]})
-                self.assertEqual(xauto("record", "check", made).returncode, 0)
+                self.assertEqual(xauto("recording", "check", made).returncode, 0)
                 self.assertEqual(self.run_app("--input", made), expected)
 
 

@@ -78,12 +78,12 @@ class Case(unittest.TestCase):
         return bag.end()
 
     def look(self, path, count):
-        """Reads the answer by its bytes, where they are not compressed, and by `record`."""
-        info = json.loads(xauto("record", "info", path, "--json").stdout)
+        """Reads the answer by its bytes, where they are not compressed, and by `recording`."""
+        info = json.loads(xauto("recording", "info", path, "--json").stdout)
         self.assertEqual([(t["name"], t["type"], t["serialization_format"], t["schema_encoding"], t["messages"]) for t in info["topics"]],
                          [("/src", "xauto_msgs/msg/Message", "cdr", "ros2msg", count),
                           ("/xauto/releases", "xauto_msgs/msg/Release", "cdr", "ros2msg", count)])
-        self.assertEqual(xauto("record", "check", path).returncode, 0)
+        self.assertEqual(xauto("recording", "check", path).returncode, 0)
 
 
 class Bags(Case):
@@ -184,7 +184,7 @@ class Bags(Case):
         [app] = [p for p in map(int, filter(str.isdigit, os.listdir("/proc"))) if made in self.open_files(p)]
         os.kill(app, signal.SIGKILL)
         tool.wait(timeout=60)
-        done = xauto("record", "check", made)
+        done = xauto("recording", "check", made)
         self.assertEqual(done.returncode, 1, done.stdout + done.stderr)
         self.assertRegex(done.stdout, r"all \d+ messages that are there can be read; more were recorded")
         self.assertIn("its recorder did not close it", done.stderr)

@@ -12,7 +12,7 @@ import unittest
 from fractions import Fraction
 
 import pftrace
-from common import BIN, QUEUES, SOURCE, XAUTO, activations, wait_for, xauto
+from common import BIN, QUEUES, SOURCE, XAUTO, activations, top, wait_for, xauto
 
 APP = SOURCE / "examples/driving/rates.json"
 
@@ -283,7 +283,7 @@ class Story(unittest.TestCase):
         self.assertFalse([s for s in trace.slices if s.category == "window"])
 
     def looks(self, *flags):
-        """`top` and `status` of a run that goes on, as JSON and as text; then its report."""
+        """`top` of a run that goes on, of it alone and of all, as JSON and as text; then its report."""
         tool = subprocess.Popen([XAUTO, "run", "--app", str(APP), "--platform", "small", "--emulate", "--policy",
                                  str(self.folder / "policy.json"), "--deployment", str(self.folder / "queues.json"), "--activations",
                                  "0", "--out", str(self.folder / "live.json"), *flags, "--", str(BIN / "driving-rates")],
@@ -291,21 +291,21 @@ class Story(unittest.TestCase):
         try:
             wait_for("results", lambda: activations(tool).get("CTL", 0) > 20, tool)
             run = f"{tool.pid}-0"
-            top = json.loads(xauto("top", "--run", run, "--once", "--json", "--interval-ms", 50).stdout)
+            one = top(tool)
             words = xauto("top", "--run", run, "--once", "--interval-ms", 50).stdout
-            status, said = json.loads(xauto("status", "--json").stdout), xauto("status").stdout
+            runs, said = json.loads(xauto("top", "--once", "--json").stdout)["runs"], xauto("top", "--once").stdout
         finally:
             tool.terminate()
             tool.communicate(timeout=60)
-        own = [of for name, of in status["claims"].items() if name.endswith("/" + run)]
-        self.assertEqual(len(own), 1, status["claims"])
-        return top, words, own[0], said, json.loads((self.folder / "live.json").read_text())["runs"][0]
+        own = [of for of in runs if of["run"] == run]
+        self.assertEqual(len(own), 1, runs)
+        return one, words, own[0], said, json.loads((self.folder / "live.json").read_text())["runs"][0]
 
     def test_a_run_that_goes_on_shows_reactions_beside_worst_cases(self):
-        top, words, status, said, report = self.looks()
+        one, words, of_all, said, report = self.looks()
         claims = {c["name"]: c for c in self.policy["chains"]}
         counted = {c["name"]: c for c in report["chains"]}
-        for look in (top["chains"], status["chains"]):
+        for look in (one["chains"], of_all["chains"]):
             self.assertEqual([c["name"] for c in look], list(claims))
             for chain in look:
                 claim, latency = claims[chain["name"]], counted[chain["name"]]["latency_us"]
@@ -314,21 +314,21 @@ class Story(unittest.TestCase):
                 self.assertLessEqual(0, chain["last_us"])
                 self.assertLessEqual(chain["last_us"], chain["longest_us"])
                 self.assertLessEqual(chain["longest_us"], latency["max"])
-        for claimed, text in ((top["claims"], words), (status, said)):
-            longer = [c for c in (top["chains"] if claimed is top["claims"] else status["chains"])
-                      if c["longest_us"] > c["worst_case_us"] * 1.02]
-            self.assertEqual(claimed["exceeded"], bool(longer))
+        for seen, text in ((one, words), (of_all, said)):
+            longer = [c for c in seen["chains"] if c["longest_us"] > c["worst_case_us"] * 1.02]
+            self.assertEqual(seen["claims"]["exceeded"], bool(longer))
             self.assertIn("worst cases, so far: ", text)
         # What was broken by then is still broken in the end.
+        broken = of_all["claims"]["broken"]
         for kind in ("outran their WCET", "activations were lost"):
-            if any(kind in b for b in status["broken"]):
+            if any(kind in b for b in broken):
                 self.assertTrue(any(kind in b for b in report["claims"]["broken"]), kind)
-        if any("were not where" in b for b in status["broken"]):
+        if any("were not where" in b for b in broken):
             self.assertTrue(any("states a jitter" in b for b in report["claims"]["broken"]))
 
     def test_what_the_run_does_not_keep_is_named_while_it_goes_on(self):
-        top, words, status, said, _ = self.looks("--lockstep")
-        for broken, text in ((top["claims"]["broken"], words), (status["broken"], said)):
+        one, words, of_all, said, _ = self.looks("--lockstep")
+        for broken, text in ((one["claims"]["broken"], words), (of_all["claims"]["broken"], said)):
             self.assertTrue(any("(--lockstep)" in b for b in broken), broken)
             self.assertIn("(--lockstep)", text)
             for chain in self.policy["chains"]:

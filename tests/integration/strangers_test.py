@@ -6,6 +6,7 @@ import ctypes
 import json
 import os
 import pathlib
+import pwd
 import resource
 import signal
 import socket
@@ -288,27 +289,28 @@ class Strangers(unittest.TestCase):
         run = f"{tool.pid}-0"
         wait_for("the run", lambda: self.ask("top", "--run", run, "--once", "--interval-ms", 50)[0] == 0, tool)
         fake = self.fakes(tool)
-        status, out, err = self.ask("status")
+        status, out, err = self.ask("top", "--once")
         self.assertEqual(status, 0, err)
-        self.assertIn(f"run {run}\n", out)
+        self.assertIn(f"run {run}: testapp on test", out)
         for line in out.splitlines():  # of the stranger's runs it is said whose they are
             if line.startswith(f"run {fake}-"):
                 self.assertTrue(line.endswith(" of nobody"), line)
             elif line.startswith("run "):
                 self.assertFalse(line.startswith("run 1-"), line)
-        sessions = json.loads(self.ask("status", "--json")[1])
-        self.assertEqual({xpu["xpu"] for xpu in sessions["sessions"][f"xauto/{run}"]}, {"cpu0", "npu0"})
-        self.assertNotIn(f"xauto/{run}", sessions.get("users", {}))
+        runs = {one["run"]: one for one in json.loads(self.ask("top", "--once", "--json")[1])["runs"]}
+        self.assertEqual({xpu["xpu"] for xpu in runs[run]["xpus"]}, {"cpu0", "npu0"})
+        self.assertEqual({one["user"] for name, one in runs.items() if name.startswith(f"{fake}-")} - {"nobody"}, set())
+        self.assertEqual(runs[run]["user"], pwd.getpwuid(os.geteuid()).pw_name)
         # The only run of this user's is meant, whoever else says to have one. Other tests may run beside this one.
-        others = [name for name in self.ask("top", "--list")[1].split() if not name.startswith(f"{fake}-") and name != run]
-        for words in (["top", "--once", "--interval-ms", 50], ["param"], ["monitor", "--interval-ms", 50]):
+        others = [name for name in runs if not name.startswith(f"{fake}-") and name != run]
+        for words in (["top", "--count", 2, "--interval-ms", 50], ["param"], ["monitor", "--interval-ms", 50]):
             named = words if not others or words[0] == "monitor" else [*words, "--run", run]
             _, out, err = self.ask(*named)
             self.assertNotIn(f" {fake}-", err)
             self.assertNotIn("no run", err)
             if words[0] in ("top", "monitor") and "several runs" not in err:  # another test's has begun
                 self.assertIn(run, out)
-        status, out, err = self.ask("top", "--run", f"{fake}-0", "--wait-s", 0)
+        status, out, err = self.ask("top", "--run", f"{fake}-0")
         self.assertNotEqual(status, 0, out)
         self.end(tool)
 

@@ -13,7 +13,7 @@ import unittest
 
 import pftrace
 from report_test import Page
-from common import APP, DRIVING, QUEUES, TESTAPP, XAUTO, testapp_files, wait_for, xauto
+from common import APP, DRIVING, QUEUES, TESTAPP, XAUTO, testapp_files, top, wait_for, xauto
 
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at 60 %", "wcet_scale_pct": {"gpu": 167}},
              {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}}, {"name": "no DLA", "lost": ["dla0"]}]
@@ -62,8 +62,7 @@ class Tables(unittest.TestCase):
         return json.loads(done.stdout) if status == 0 else done.stderr
 
     def released(self):
-        done = xauto("top", "--run", self.run_id, "--wait-s", 5, "--interval-ms", 50, "--once", "--json")
-        return json.loads(done.stdout)["releases"] if done.stdout else 0
+        return top(self.tool).get("releases", 0)
 
     def end(self):
         self.tool.terminate()
@@ -129,7 +128,7 @@ class Tables(unittest.TestCase):
             self.assertIn(self.mode()["now"], covering[name])
         self.assertEqual(self.mode("--none")["was"], name)
         worst = self.worst_so_far()
-        for shown in (xauto("status").stdout, xauto("param", "--run", self.run_id).stdout,
+        for shown in (xauto("top", "--once").stdout, xauto("param", "--run", self.run_id).stdout,
                       xauto("top", "--run", self.run_id, "--interval-ms", 50, "--once").stdout):
             self.assertRegex(shown, r"of what met a change the nearest to its worst case, a result of '[^']+', took [\d.]+ ms of \*?[\d.]+ ms")
         report = self.end()
@@ -179,11 +178,11 @@ class Tables(unittest.TestCase):
         return max(met, key=lambda s: s["spanned_us"] / s["worst_case_us"])
 
     def worst_so_far(self):
-        """As `param`, `top` and `status` have it, which look one after the other; the last one."""
-        words = ("--run", self.run_id, "--json")
-        seen = [self.mode()["spanned"], json.loads(xauto("top", *words, "--interval-ms", 50, "--once").stdout)["scenario"]["spanned"]]
-        status = [s for run, s in json.loads(xauto("status", "--json").stdout)["scenario"].items() if run.endswith(self.run_id)]
-        seen.append(status[0]["spanned"])
+        """As `param` and `top`, of this run and of all, have it, which look one after the other; the last one."""
+        seen = [self.mode()["spanned"], top(self.tool)["scenario"]["spanned"]]
+        runs = json.loads(xauto("top", "--once", "--json").stdout)["runs"]
+        seen += [run["scenario"]["spanned"] for run in runs if run["run"] == self.run_id]
+        self.assertEqual(len(seen), 3)
         shares = [s["us"] / s["worst_case_us"] for s in seen]
         self.assertEqual(shares, sorted(shares))
         return seen[-1]
@@ -286,7 +285,7 @@ class Tables(unittest.TestCase):
                                     stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             self.addCleanup(lambda: (tool.kill(), tool.wait()))
             self.run_id = f"{tool.pid}-0"
-            wait_for("the run", lambda: self.run_id in xauto("top", "--list").stdout, tool)
+            wait_for("the run", lambda: top(tool), tool)
             self.assertNotIn("scenarios", self.mode())
             self.assertIn("has one policy, so there are no scenarios", self.mode("x", status=1))
 

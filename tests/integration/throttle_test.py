@@ -11,7 +11,7 @@ import tempfile
 import unittest
 
 import pftrace
-from common import APP, DRIVING, QUEUES, SOURCE, XAUTO, wait_for, xauto
+from common import APP, DRIVING, QUEUES, SOURCE, XAUTO, activations, wait_for, xauto
 
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}}]
 
@@ -113,8 +113,7 @@ class Throttle(unittest.TestCase):
             return json.loads(done.stdout)["now"]
 
         def results():
-            done = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50, "--json")
-            return {m["name"]: m["activations"] for m in json.loads(done.stdout)["modules"]}
+            return activations(tool)
         wait_for("the table without the DLA", lambda: now() == "no DLA", tool)
         wait_for("results", lambda: results(), tool)
         before = results()
@@ -144,8 +143,7 @@ class Throttle(unittest.TestCase):
         wait_for("a hang", lambda: "ran past its hang limit" in said.read_text(), tool)
 
         def results():
-            done = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50, "--json")
-            return {m["name"]: m["activations"] for m in json.loads(done.stdout)["modules"]}
+            return activations(tool)
         before = results()
         wait_for("results after the DLA goes on", lambda: results()["FCD"] > before["FCD"] + 2, tool)
         tool.terminate()

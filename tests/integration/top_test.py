@@ -59,7 +59,7 @@ class Top(unittest.TestCase):
     def look(self, tool, *options):
         done = xauto("top", "--run", f"{tool.pid}-0", "--wait-s", 30, "--json", *options)
         self.assertEqual(done.returncode, 0, done.stderr)
-        return [json.loads(line) for line in done.stdout.splitlines()]
+        return [json.loads(line)["runs"][0] for line in done.stdout.splitlines()]
 
     def test_counts_are_those_of_the_report(self):
         tool = self.start("throw", "A", 5, files=testapp_files(self.folder, period_us=20_000, deadline_us=1))
@@ -98,7 +98,7 @@ class Top(unittest.TestCase):
 
         def runs():
             seen.update({x["xpu"]: x for x in self.look(tool, "--once", "--interval-ms", 50)[0]["xpus"]})
-            return seen["npu0"]["running"] == ["b1"]
+            return [w["xnode"] for w in seen["npu0"]["workers"] if w["state"] == "running"] == ["b1"]
         wait_for("b1 on the npu", runs, tool)
         self.assertEqual(set(seen), {"cpu0", "npu0"})
         tool.kill()
@@ -110,21 +110,23 @@ class Top(unittest.TestCase):
         self.assertEqual(done.stdout.count("testapp on test"), 1)
         self.assertIn("src -> c1", done.stdout)
         self.assertNotIn("\x1b", done.stdout)
-        self.assertIn(f"{tool.pid}-0\n", xauto("top", "--list").stdout)
-        self.assertIn(f"{tool.pid}-0", json.loads(xauto("top", "--list", "--json").stdout)["runs"])
+        all_runs = xauto("top", "--once", "--interval-ms", 50)
+        mine = all_runs.stdout[all_runs.stdout.index(f"run {tool.pid}-0: testapp on test"):].split("\nrun ")[0]
+        for said in ("src -> c1", r"npu0 +gate, .*; coordinator pid \d+, \d+ decisions", r"\n    B@npu0 +\w"):
+            self.assertRegex(mine, said)
+        self.assertEqual(xauto("top", "--list").returncode, 2)
 
     @unittest.skipIf(os.geteuid() != 0, "it takes two users")
-    def test_a_run_of_another_user_is_not_listed_and_said_to_be_theirs(self):
+    def test_a_run_of_another_user_is_said_to_be_theirs(self):
         run = f"{os.getpid()}-78"
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.addCleanup(listener.close)
         listener.bind(f"\0xauto/{run}/live")
         listener.listen()
-        self.assertIn(run, xauto("top", "--list").stdout, "root may ask everybody")
         nobody = {"user": 65534, "capture_output": True, "text": True, "timeout": 60}
-        for words in (["--list"], ["--list", "--json"]):
-            self.assertNotIn(run, subprocess.run([XAUTO, "top", *words], **nobody).stdout)
-        done = subprocess.run([XAUTO, "top", "--run", run, "--wait-s", "0"], **nobody)
+        for words in ([], ["--json"]):
+            self.assertNotIn(run, subprocess.run([XAUTO, "top", "--once", *words], **nobody).stdout)
+        done = subprocess.run([XAUTO, "top", "--run", run], **nobody)
         self.assertNotEqual(done.returncode, 0)
         self.assertIn(f"run '{run}' is of root", done.stderr)
 
@@ -149,7 +151,7 @@ class Top(unittest.TestCase):
         self.assertEqual(words.count("  died: 1"), 1, words)
 
     def test_without_a_run_it_says_so(self):
-        done = xauto("top", "--run", "1-99", "--wait-s", 0)
+        done = xauto("top", "--run", "1-99")
         self.assertEqual(done.returncode, 2)
         self.assertIn("no run '1-99' is going on", done.stderr)
 
@@ -175,7 +177,7 @@ class Top(unittest.TestCase):
             peer.close()
         run = threading.Thread(target=introduce)
         run.start()
-        done = xauto("top", "--run", f"{os.getpid()}-77", "--wait-s", 0, "--once")
+        done = xauto("top", "--run", f"{os.getpid()}-77", "--once")
         run.join(10)
         self.assertEqual(seen, [None])
         self.assertIn("the app has not started yet", done.stderr)  # what an empty board says

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Tracing on this machine's kernel, whatever it is: the emulated Driving Case under `xauto trace` and `xauto top`."""
+"""Tracing on this machine's kernel, whatever it is: the emulated Driving Case under `xauto top --record`."""
 import json
 import os
 import pathlib
@@ -10,7 +10,7 @@ import tempfile
 import unittest
 
 import pftrace
-from common import APP, DRIVING, XAUTO, activations, wait_for, xauto
+from common import APP, DRIVING, TESTAPP, XAUTO, activations, testapp_files, wait_for, xauto
 
 ROOT = pathlib.Path("/sys/fs/bpf/xauto")
 KINDS = {"wakeup", "run", "preempt", "sleep", "migrate"}
@@ -61,6 +61,9 @@ class Trace(unittest.TestCase):
         self.assertEqual(run.returncode, 0, out + err)
         return json.loads(out)["runs"][0]
 
+    def record(self, run, file, interval_ms, *options):
+        return xauto("top", "--run", f"{run.pid}-0", "--wait-s", 60, "--once", "--interval-ms", interval_ms, "--record", file, *options)
+
     def own(self, run):
         """Folders of this run's maps."""
         return [p.name for p in ROOT.glob(f"{run.pid}-*")] if ROOT.exists() else []
@@ -68,52 +71,62 @@ class Trace(unittest.TestCase):
     def test_every_xnode_of_a_run_is_seen_and_losses_are_told_first(self):
         run = self.drive()
         events = os.path.join(self.dir.name, "events.jsonl")
-        trace = xauto("trace", "--run", f"{run.pid}-0", "--wait-s", 60, "--duration-s", 2, "--json", "--out", events)
+        trace = self.record(run, events, 2000, "--json")
         report = self.stop(run)
         self.assertEqual(trace.returncode, 0, trace.stderr)
-        seen = json.loads(trace.stdout)
+        seen = json.loads(trace.stdout)["runs"][0]
+        record = seen["record"]
         names = {x["name"] for x in json.loads(pathlib.Path(APP).read_text())["xnodes"]}
         self.assertEqual({x["xnode"] for x in seen["xnodes"]}, names)
-        self.assertEqual(seen["complete"], seen["lost"]["events"] + seen["lost"]["jobs"] + seen["lost"]["pipe"] == 0)
         for xnode in seen["xnodes"]:
             # What was released before the tracer was attached is missing; one job may be seen at each end.
             self.assertLessEqual(xnode["jobs"], report["activations"] + 1, xnode)
             self.assertGreater(xnode["jobs"], 0, xnode)
-            self.assertGreater(xnode["run_us"]["p50"], 0, xnode)
+            self.assertGreater(xnode["run_p50_us"], 0, xnode)
+            self.assertLessEqual(xnode["latency_p50_us"], xnode["latency_p99_us"], xnode)
         lines = [json.loads(line) for line in pathlib.Path(events).read_text().splitlines()]
-        self.assertEqual(lines[0], {"lost_events": seen["lost"]["events"], "lost_jobs": seen["lost"]["jobs"]})
-        self.assertEqual(len(lines) - 1, seen["events"])
+        self.assertLessEqual(record["lost"]["events"], lines[0]["lost_events"])
+        self.assertGreater(record["events"], 0)
+        self.assertLessEqual(record["events"], len(lines) - 1)  # some came after the look
         self.assertLessEqual({e["kind"] for e in lines[1:]}, KINDS)
         self.assertTrue(all("by" in e for e in lines[1:] if e["kind"] in ("wakeup", "preempt")))
         # A thread that gets a CPU was ready before, and runs until it is switched out: so its events alternate.
         running = set()
-        for event in lines[1:] if seen["complete"] else []:
+        for event in lines[1:] if lines[0] == {"lost_events": 0, "lost_jobs": 0} else []:
             if event["kind"] == "run":
                 self.assertNotIn(event["tid"], running)
                 running.add(event["tid"])
             elif event["kind"] in ("preempt", "sleep"):
                 running.discard(event["tid"])
 
-    def test_a_buffer_that_is_too_small_is_told_in_the_first_line(self):
-        run = self.drive()
-        trace = subprocess.Popen([XAUTO, "trace", "--run", f"{run.pid}-0", "--ring-kb", "4"], stdout=subprocess.PIPE,
-                                 stderr=subprocess.PIPE, text=True)
-        # Stopped for a while, it cannot empty 4 kB, 56 bytes each.
+    def test_what_the_buffer_could_not_take_is_told_first(self):
+        """A run of short jobs without a pause, while who records is stopped."""
+        run = subprocess.Popen([XAUTO, "run", *testapp_files(self.dir.name), "--lockstep", "--activations", "0", "--", TESTAPP,
+                                os.path.join(self.dir.name, "result")], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(lambda: (run.kill(), run.communicate()))
+        words = open(os.path.join(self.dir.name, "words"), "w+")
+        self.addCleanup(words.close)
+        trace = subprocess.Popen([XAUTO, "top", "--run", f"{run.pid}-0", "--wait-s", "60", "--count", "0", "--record",
+                                  os.path.join(self.dir.name, "lost.jsonl")], stdout=words, stderr=subprocess.PIPE, text=True)
         wait_for("the tracer", lambda: list(ROOT.glob(f"{run.pid}-*/events")), trace)
         trace.send_signal(signal.SIGSTOP)
-        count = lambda: min(activations(run).values(), default=0)
-        before = count()
-        wait_for("ten releases, of 15 jobs each", lambda: count() > before + 10, run)
+        before = activations(run)["A"]
+        # 1 MB is 16,384 events. A job has one at least.
+        wait_for("enough jobs", lambda: activations(run)["A"] > before + 4000, run)
         trace.send_signal(signal.SIGCONT)
-        self.stop(run)
-        text, errors = trace.communicate(timeout=60)
+        run.terminate()
+        run.communicate(timeout=60)
+        _, errors = trace.communicate(timeout=60)
         self.assertEqual(trace.returncode, 0, errors)
-        self.assertRegex(text.splitlines()[0], r"^INCOMPLETE: of \d+ events [1-9]\d* were lost")
+        words.seek(0)
+        self.assertRegex(words.read(), r"\nINCOMPLETE: of \d+ events [1-9]\d* were lost")
+        self.assertGreater(json.loads(pathlib.Path(self.dir.name, "lost.jsonl").read_text().splitlines()[0])["lost_events"], 0)
 
     def test_the_kernels_cpus_and_the_run_are_one_picture(self):
         run_file, cpus = (pathlib.Path(self.dir.name, name) for name in ("run.pftrace", "cpus.pftrace"))
         run = self.drive("--trace-out", str(run_file))
-        trace = xauto("trace", "--run", f"{run.pid}-0", "--wait-s", 60, "--duration-s", 1, "--json", "--out", cpus)
+        trace = self.record(run, cpus, 1000)
+        self.assertRegex(trace.stdout, r"\n(complete|INCOMPLETE): ")
         self.stop(run)
         self.assertEqual(trace.returncode, 0, trace.stderr)
         both = pftrace.Trace(run_file.read_bytes() + cpus.read_bytes())
@@ -133,45 +146,14 @@ class Trace(unittest.TestCase):
         self.assertEqual(answers[0].returncode, 0, answers[0].stderr)
         self.assertEqual(answers[0].stdout, answers[1].stdout)
 
-    def test_tells_which_scenario_counts(self):
-        """... and what met a change, as `xauto param` does: nothing changes in between."""
-        app = json.loads(pathlib.Path(APP).read_text())
-        for xnode in app["xnodes"]:  # no job of this machine is too long
-            xnode["wcet_us"] = {kind: 1000 * us for kind, us in xnode["wcet_us"].items()}
-        app.pop("deadline_us", None)
-        folder = pathlib.Path(self.dir.name)
-        write = lambda name, value: (folder / name).write_text(json.dumps(value))
-        write("app.json", app)
-        write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": [
-            {"name": "nominal"}, {"name": "GPU slow", "wcet_scale_pct": {"gpu": 150}}]})
-        done = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 2,
-                     "--time-limit-s", 2, "--out", "tables.json", cwd=folder)
-        self.assertEqual(done.returncode, 0, done.stderr)
-        run = subprocess.Popen([XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", "tables.json",
-                                "--activations", "0", "--period-us", "60000", "--", DRIVING], cwd=folder,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        self.addCleanup(lambda: (run.kill(), run.wait()))
-        words = ("--run", f"{run.pid}-0", "--wait-s", 10)
-        mode = lambda *more: json.loads(xauto("param", "scenario" if more else "list", *words, "--json", *more).stdout or "{}")
-        wait_for("the run", lambda: any(s["releases"] > 1 for s in mode().get("scenarios", [])), run)
-        mode("GPU slow")
-        wait_for("the change", lambda: (mode().get("spanned") or {}).get("to") == "GPU slow", run)
-        known = mode()
-        self.assertEqual(known["now"], "GPU slow")
-        told = json.loads(xauto("trace", *words, "--duration-s", 1, "--json").stdout)["scenario"]
-        self.assertEqual((told["name"], told["why"], told["spanned"]), (known["now"], known["why"], known["spanned"]))
-        text = xauto("trace", *words, "--duration-s", 1).stdout
-        self.assertIn("scenario 'GPU slow' (asked), table '", text)
-        self.assertIn("of what met a change the nearest to its worst case, a result of '", text)
-
     def test_top_shows_load_and_xnodes(self):
         run = self.drive()
         def look():
             """Of the second look: what has begun and ended since the first. None if the GPU did nothing meanwhile."""
             top = xauto("top", "--run", f"{run.pid}-0", "--wait-s", 60, "--count", "2", "--interval-ms", "700", "--json")
             self.assertEqual(top.returncode, 0, top.stderr)
-            last = json.loads(top.stdout.splitlines()[-1])
-            load = {x["xpu"]: x["load_pct"] for x in last["xpus"]}
+            last = json.loads(top.stdout.splitlines()[-1])["runs"][0]
+            load = {x["xpu"]: x.get("load_pct", 0) for x in last["xpus"]}
             return (load, last["xnodes"]) if load["gpu0"] > 0 else None
         load, xnodes = wait_for("load on the GPU", look, run)
         self.stop(run)
@@ -185,7 +167,7 @@ class Trace(unittest.TestCase):
         self.assertEqual(self.own(run), [])
         # Killed, it cannot tidy up; the next run does.
         run = self.drive()
-        xauto("trace", "--run", f"{run.pid}-0", "--wait-s", 60, "--duration-s", "1")
+        self.assertEqual(self.record(run, pathlib.Path(self.dir.name, "killed.jsonl"), 1000).returncode, 0)
         self.assertEqual(len(self.own(run)), 1)
         run.kill()
         run.communicate()
@@ -194,11 +176,10 @@ class Trace(unittest.TestCase):
         self.assertEqual(self.own(run), [])
 
     def test_without_a_run_it_says_so(self):
-        trace = xauto("trace", "--run", "1-999", "--wait-s", "0")
-        self.assertEqual(trace.returncode, 2)
-        self.assertIn("no run '1-999' is going on", trace.stderr)
-        trace = xauto("trace", "--run", "../etc", "--wait-s", "0")
-        self.assertEqual(trace.returncode, 2)
+        for name in ("1-999", "../etc"):
+            trace = xauto("top", "--run", name, "--record", os.path.join(self.dir.name, "none.jsonl"))
+            self.assertEqual(trace.returncode, 2)
+            self.assertIn(f"no run '{name}' is going on", trace.stderr)
 
     def test_emulated_cpus_are_not_scheduled_by_sched_ext(self):
         run = self.drive("--cpu-sched", "ext", releases=2)

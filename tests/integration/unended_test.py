@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, TESTAPP, XAUTO, activations, children_of, testapp_files, wait_for, xauto
+from common import BIN, TESTAPP, XAUTO, activations, children_of, testapp_files, top, wait_for, xauto
 
 FAULTY = str(BIN / "faulty")
 HUNG = r"XNode 'slow\.b' of XModule 'Slow' has run for \d+\.\d\d ms and has not ended; its WCET is 37\.78 ms"
@@ -70,11 +70,11 @@ class Unended(unittest.TestCase):
         return self.report(self.start(fault, "--seconds", 1, *flags), status)
 
     def live(self, pattern, tool):
-        """What `xauto status` says of the claims of this run, once it is so."""
+        """What `xauto top --once` says of the claims of this run, once it is so."""
         def look():
-            claims = json.loads(xauto("status", "--json").stdout).get("claims", {})
-            found = [line for run, of in claims.items() if run.endswith(f"/{tool.pid}-0")
-                     for line in of["broken"] if re.search(pattern, line)]
+            runs = json.loads(xauto("top", "--once", "--json", "--interval-ms", 50).stdout)["runs"]
+            found = [line for run in runs if run["run"] == f"{tool.pid}-0" and "claims" in run
+                     for line in run["claims"]["broken"] if re.search(pattern, line)]
             return found[0] if found else None
         return wait_for(pattern, look, tool)
 
@@ -106,9 +106,8 @@ class Unended(unittest.TestCase):
     def test_it_is_named_while_the_run_goes_on(self):
         tool = self.start("exec", "--seconds", 3600)
         self.assertRegex(self.live("slow.b", tool), HUNG)
-        top = json.loads(xauto("top", "--run", f"{tool.pid}-0", "--json", "--once").stdout)
-        self.assertRegex("\n".join(top["claims"]["broken"]), HUNG)
-        self.assertRegex(xauto("status").stdout, "not claimed here: .*" + HUNG)
+        self.assertRegex("\n".join(top(tool)["claims"]["broken"]), HUNG)
+        self.assertRegex(xauto("top", "--once").stdout, "not claimed here: .*" + HUNG)
 
     def test_a_suspend_that_fails_is_counted_and_told_once(self):
         for fault, why in (("suspend-fails", "told to"), ("suspend-throws", "suspend threw: told to")):

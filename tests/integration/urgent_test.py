@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, QUEUES, XAUTO, activations, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, activations, top, wait_for, xauto
 
 KEYS = {"camera.run": 18000, "lidar.run": 15000}
 BY = 10000
@@ -132,7 +132,7 @@ class Urgent(unittest.TestCase):
         self.assertIn("nothing certifies that in this run", done.stderr)
         self.assertIn('"urgent": {"by_us", "every_us"}', done.stderr)
 
-    def test_top_and_status_have_them_beside_their_own_worst_case(self):
+    def test_top_has_them_beside_their_own_worst_case(self):
         tool = subprocess.Popen(
             [XAUTO, "run", *(part for name in ("app", "platform", "policy", "deployment") for part in (
                 f"--{name}", str(self.folder / f"{'queues' if name == 'deployment' else name}.json"))),
@@ -140,14 +140,14 @@ class Urgent(unittest.TestCase):
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             wait_for("results", lambda: activations(tool).get("cameraM", 0) > 20, tool)
-            top = json.loads(xauto("top", "--run", f"{tool.pid}-0", "--once", "--json", "--interval-ms", 50).stdout)
+            one = top(tool)
             words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50).stdout
-            status = json.loads(xauto("status", "--json").stdout)
+            runs = json.loads(xauto("top", "--once", "--json").stdout)["runs"]
         finally:
             tool.terminate()
             tool.communicate(timeout=60)
-        own = [of for name, of in status["claims"].items() if name.endswith(f"/{tool.pid}-0")]
-        for camera, lidar in (top["chains"], own[0]["chains"]):
+        own = [of for of in runs if of["run"] == f"{tool.pid}-0"]
+        for camera, lidar in (one["chains"], own[0]["chains"]):
             self.assertEqual(camera["urgent"]["worst_case_us"], KEYS["camera.run"] - BY)
             self.assertLessEqual(3000, camera["urgent"]["longest_us"])
             self.assertLessEqual(camera["urgent"]["longest_us"], camera["longest_us"])

@@ -44,14 +44,18 @@ std::vector<std::string> values_of(const CLI::Option& option) {
   return values;
 }
 
-/// "--platfrm", a word before "--" that begins as an option and is none of these. Empty: there is none.
+/// "--platfrm", or "-app", a word before "--" that begins as an option and is none of these. Empty: there is none.
 std::string no_option(const std::vector<const CLI::App*>& of, int argc, char** argv) {
   for (int k = 1; k < argc && std::string_view(argv[k]) != "--"; ++k) {
     const std::string whole = argv[k], word = whole.substr(0, whole.find('='));
     const bool known = std::any_of(of.begin(), of.end(), [&](const CLI::App* app) {
       return app->get_option_no_throw(word) != nullptr;
     });
-    if (word.starts_with("--") && !known) return word;
+    char* end = nullptr;
+    std::strtod(word.c_str(), &end);
+    const bool option =
+        word.starts_with('-') && word.size() > 2 && *end != '\0';  // "-nan" is a value
+    if (option && !known) return word;
   }
   return {};
 }
@@ -223,7 +227,8 @@ std::optional<int> Program::parse(int argc, char** argv) {
     for (const CLI::App* app : of)
       for (const CLI::Option* option : app->get_options())
         for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
-    const std::string meant = nearest(word, names);
+    const bool one_dash = word[1] != '-';
+    const std::string meant = nearest((one_dash ? "-" : "") + word, names);
     std::fprintf(stderr, "%s is no option%s%s\nRun with --help for more information.\n",
                  word.c_str(), of.size() > 1 ? (" of " + of.back()->get_name()).c_str() : "",
                  meant.empty() ? "" : ("; did you mean " + meant + "?").c_str());

@@ -41,7 +41,7 @@ namespace {
 
 struct MonitorFlags {
   std::string run, file, address = "127.0.0.1";
-  int port = 0, interval_ms = 1000, wait_s = 10;
+  int port = 0, interval_ms = 1000, wait_s = 0;
   bool diagnostics = false;
 };
 

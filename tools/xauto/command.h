@@ -70,14 +70,12 @@ void add_graph(Commands&);
 void add_monitor(Commands&);
 void add_param(Commands&);
 void add_profile(Commands&);
-void add_record(Commands&);
+void add_recording(Commands&);
 void add_report(Commands&);
 void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);
-void add_status(Commands&);
 void add_top(Commands&);
-void add_trace(Commands&);
 
 /// What a search tells on stderr: one line that overwrites itself on a terminal, from 0.3 s on;
 /// elsewhere a line every two seconds. Threads: one caller at a time.

@@ -53,8 +53,8 @@ runtime::Distribution since(const runtime::Distribution& now, const runtime::Dis
   return news;
 }
 
-FlowNumbers numbers_of(const runtime::Distribution& now, const runtime::Distribution& before,
-                       std::int64_t now_ns, std::int64_t before_ns) {
+FlowNumbers numbers_between(const runtime::Distribution& now, const runtime::Distribution& before,
+                            std::int64_t now_ns, std::int64_t before_ns) {
   FlowNumbers n;
   const runtime::Distribution news = since(now, before);
   n.results = news.count();
@@ -174,7 +174,7 @@ Json scenario_json(const Counts& counts) {
 
 FlowNumbers numbers_of(const FlowCounts& now, const FlowCounts& before, std::int64_t now_ns,
                        std::int64_t before_ns) {
-  FlowNumbers n = numbers_of(now.latency_us, before.latency_us, now_ns, before_ns);
+  FlowNumbers n = numbers_between(now.latency_us, before.latency_us, now_ns, before_ns);
   if (now.last_origin_ns > 0) n.age_us = (now_ns - now.last_origin_ns) / 1000;
   return n;
 }
@@ -186,7 +186,7 @@ std::string progress_words(const Counts& now, const Counts& before) {
   const bool several = !now.single_rate();
   const runtime::Distribution all = all_of(now, several);
   if (all.count() == 0) return "no result yet";
-  const FlowNumbers n = numbers_of(all, all_of(before, several), now.at_ns, before.at_ns);
+  const FlowNumbers n = numbers_between(all, all_of(before, several), now.at_ns, before.at_ns);
   return fmt::format("{:.1f}/s, p50 {:.2f} ms", n.rate_hz,
                      static_cast<double>(all.quantile(0.5)) / 1000);
 }

@@ -108,15 +108,6 @@ Result<Watched> find_run(const std::string& name, int wait_s) {
   return watch(name, wait_s, never);
 }
 
-std::vector<std::string> ours() {
-  const std::vector<RunSocket> sockets = sockets_of({}, launch::kLiveName);
-  const std::vector<Result<Host>> hosts = reach(sockets, kAnswerMs);
-  std::vector<std::string> runs;
-  for (std::size_t i = 0; i < sockets.size(); ++i)
-    if (hosts[i]) runs.push_back(sockets[i].run);  // else it has just ended, or is somebody else's
-  return runs;
-}
-
 Result<Json> ask_desk(const Watched& run, const Json& request) {
   const std::string where = "run '" + run.run + "'";
   const std::string text = request.dump();
@@ -187,11 +178,6 @@ std::string claims_text(const Counts& counts) {
                            counts.account.verdict_words());
 }
 
-bool Live::goes_on() const {
-  const std::vector<std::string> runs = kernel::RunMaps::runs();
-  return std::find(runs.begin(), runs.end(), maps.run()) != runs.end();
-}
-
 std::string Live::xnode_of(std::uint64_t job) const {
   const std::uint64_t number = job >> XAUTO_BPF_JOB_SHIFT;
   if (number == 0 || number > names.size() || (job & XAUTO_BPF_JOB_SEQ) == XAUTO_BPF_JOB_EXPECTED)
@@ -199,35 +185,17 @@ std::string Live::xnode_of(std::uint64_t job) const {
   return names[number - 1].xnode;
 }
 
-Result<Live> observe(const std::string& run, int wait_s, const kernel::TracerOptions& options,
-                     const std::atomic<bool>& stop) {
+Result<Live> observe(const std::string& run, const kernel::TracerOptions& options) {
   XAUTO_TRY(kernel::bpf_is_built_in());
-  std::string name = run;
-  const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(wait_s);
-  for (;;) {
-    const std::vector<std::string> runs = kernel::RunMaps::runs();
-    if (!run.empty() && std::find(runs.begin(), runs.end(), run) != runs.end()) break;
-    if (run.empty() && runs.size() == 1) {
-      name = runs.front();
-      break;
-    }
-    if (run.empty() && runs.size() > 1) {
-      std::string list;
-      for (const std::string& one : runs) list += " " + one;
-      return fail(ErrorCode::kInvalid, "several runs are going on:" + list, "--run", "name one");
-    }
-    if (stop.load() || std::chrono::steady_clock::now() >= limit)
-      return fail(ErrorCode::kNotFound,
-                  run.empty() ? "no run is going on that can be observed"
-                              : "no run '" + run + "' is going on",
-                  XAUTO_BPF_ROOT, "start `xauto run ...` as root, then this, or see --wait-s");
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
-  }
+  const std::vector<std::string> runs = kernel::RunMaps::runs();
+  if (std::find(runs.begin(), runs.end(), run) == runs.end())
+    return fail(ErrorCode::kNotFound, "run '" + run + "' has no maps", XAUTO_BPF_ROOT,
+                "who traces and who has started `xauto run` must be root");
   // The folder is there before its last file, and that before the maps are filled.
-  Result<kernel::RunMaps> maps = kernel::RunMaps::open(name);
+  Result<kernel::RunMaps> maps = kernel::RunMaps::open(run);
   for (int again = 0; again < 50 && !maps && maps.error().code == ErrorCode::kNotFound; ++again) {
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    maps = kernel::RunMaps::open(name);
+    maps = kernel::RunMaps::open(run);
   }
   if (!maps) return tl::unexpected<Error>(std::move(maps).error());
   XAUTO_ASSIGN(kernel::Tracer tracer, kernel::Tracer::attach(*maps, options));
@@ -269,17 +237,6 @@ Json measured(std::int64_t us) {
 }
 std::string measured_text(std::int64_t us) {
   return us < 0 ? "-" : std::to_string(us);
-}
-
-std::string losses_line(const xauto_bpf_losses& losses, std::uint64_t not_kept) {
-  if (losses.events + losses.pipe + losses.jobs + not_kept == 0)
-    return fmt::format("complete: {} events, none lost", losses.written);
-  std::string text = fmt::format("INCOMPLETE: of {} events {} were lost",
-                                 losses.written + losses.events, losses.events + not_kept);
-  if (losses.jobs > 0) text += fmt::format("; {} short jobs are in no histogram", losses.jobs);
-  if (losses.pipe > 0) text += fmt::format("; a reader of the pipe missed {}", losses.pipe);
-  if (losses.events > 0) text += " (--ring-kb makes the buffer larger)";
-  return text;
 }
 
 }  // namespace xauto::cli

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `xauto status`, `xauto top` and `xauto trace` share: finding the run, asking those who know,
-// attaching the tracer, naming things.
+// Finding the run, asking those who know, attaching the tracer, naming things.
 #pragma once
 
 #include <atomic>
@@ -29,8 +28,6 @@ struct Watched {
 };
 /// Names of runs of this network namespace, or what anybody calls one.
 [[nodiscard]] std::vector<std::string> running();
-/// Of these, those that answer this user.
-[[nodiscard]] std::vector<std::string> ours();
 /// Those of `runs` that introduce themselves to this user.
 [[nodiscard]] std::vector<Watched> introduced(const std::vector<std::string>& runs);
 /// The run named `run`, or with an empty name this user's only one, waited for at most `wait_s`. If this user
@@ -56,16 +53,12 @@ struct Live {
   kernel::RunMaps maps;
   std::vector<kernel::XNodeName> names;
   kernel::Tracer tracer;
-  /// Whether the observed run still goes on.
-  [[nodiscard]] bool goes_on() const;
   /// "fcd.infer"; "-" for none.
   [[nodiscard]] std::string xnode_of(std::uint64_t job) const;
 };
 
-/// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
-[[nodiscard]] Result<Live> observe(const std::string& run, int wait_s,
-                                   const kernel::TracerOptions& options,
-                                   const std::atomic<bool>& stop);
+/// A run that is there.
+[[nodiscard]] Result<Live> observe(const std::string& run, const kernel::TracerOptions& options);
 
 /// One XNode's numbers over a time: the difference of two histograms.
 struct XNodeNumbers {
@@ -80,8 +73,5 @@ struct XNodeNumbers {
 /// Null, and "-", where it is -1: no number that nobody measured.
 [[nodiscard]] Json measured(std::int64_t us);
 [[nodiscard]] std::string measured_text(std::int64_t us);
-
-/// "INCOMPLETE: ... or "complete: ...", the first line of every report.
-[[nodiscard]] std::string losses_line(const xauto_bpf_losses& losses, std::uint64_t not_kept);
 
 }  // namespace xauto::cli

@@ -23,12 +23,10 @@ int main(int argc, char** argv) {
   xauto::cli::add_run(commands);
   xauto::cli::add_compare(commands);
   xauto::cli::add_report(commands);
-  xauto::cli::add_status(commands);
-  xauto::cli::add_trace(commands);
   xauto::cli::add_top(commands);
   xauto::cli::add_monitor(commands);
   xauto::cli::add_param(commands);
-  xauto::cli::add_record(commands);
+  xauto::cli::add_recording(commands);
   xauto::cli::add_completion(commands);
   return commands.run(argc, argv);
 }

@@ -45,7 +45,6 @@ Result<Tracer> Tracer::attach(const RunMaps& maps, const TracerOptions& options)
   attached.object = xauto_trace__open();
   if (attached.object == nullptr) return libbpf_failed("opening the tracer", errno);
   attached.object->rodata->record_events = options.events;
-  attached.object->rodata->print_events = options.print;
   auto& of = attached.object->maps;
   for (bpf_map* map : {of.head, of.slots, of.threads}) XAUTO_TRY(reuse(map, maps));
   attached.xnodes = maps.head().xnodes;

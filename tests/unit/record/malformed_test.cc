@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `xauto record check` does with the malformed recordings of tests/golden/errors, of both kinds.
+// What `xauto recording check` does with the malformed recordings of tests/golden/errors, of both kinds.
 #include <filesystem>
 #include <string>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto record: what is in a recorded input (info), whether it can be read to its end (check), and what can be read of one
+// xauto recording: what is in a recorded input (info), whether it can be read to its end (check), and what can be read of one
 // that is damaged, as a new one (repair).
 // Recording itself is `xauto run --record FILE`.
 #include <filesystem>
@@ -140,7 +140,7 @@ Result<int> check_damaged(const std::string& path, Error error, const Options& o
     std::cout << answer.dump(2) << "\n";
   } else {
     std::cout << fmt::format(
-        "{}: {} messages can be read, with {} faults between them; `xauto record repair` writes "
+        "{}: {} messages can be read, with {} faults between them; `xauto recording repair` writes "
         "them\n",
         path, salvaged.messages, salvaged.faults);
   }
@@ -150,8 +150,8 @@ Result<int> check_damaged(const std::string& path, Error error, const Options& o
 Result<int> repair(const std::string& path, const std::string& out, const Options& options) {
   namespace fs = std::filesystem;
   if (out.empty())
-    return fail(ErrorCode::kInvalid, "no name for what is repaired", "record repair",
-                "xauto record repair " + path + " repaired.mcap");
+    return fail(ErrorCode::kInvalid, "no name for what is repaired", "recording repair",
+                "xauto recording repair " + path + " repaired.mcap");
   std::error_code error;
   if (fs::is_directory(path, error) && fs::equivalent(fs::absolute(out).parent_path(), path, error))
     return fail(ErrorCode::kInvalid, "would be a part of the recording that it is made of", out,
@@ -197,15 +197,15 @@ Result<int> repair(const std::string& path, const std::string& out, const Option
 
 }  // namespace
 
-void add_record(Commands& commands) {
+void add_recording(Commands& commands) {
   struct Flags {
     std::string action, path, out;
   };
   auto flags = std::make_shared<Flags>();
   Verb verb = commands.add(
-      "record",
+      "recording",
       "Tell what is in a recorded input, or mend one; to make one: xauto run --record FILE.",
-      "xauto record info drive.mcap\n  xauto record repair damaged.mcap mended.mcap",
+      "xauto recording info drive.mcap\n  xauto recording repair damaged.mcap mended.mcap",
       [flags](const Options& options) -> Result<int> {
         if (flags->action == "repair") return repair(flags->path, flags->out, options);
         if (!flags->out.empty())
