@@ -45,16 +45,18 @@ Result<Recorder> Recorder::create(const std::string& given) {
   std::error_code error;
   if (fs::exists(path, error))
     return fail(ErrorCode::kInvalid, "exists already", given, "record under a new name");
+  if (path.extension() == ".db3")
+    return fail(ErrorCode::kInvalid, "SQLite is read and not written", given,
+                "a name that ends in .mcap, or a folder");
   Recorder r;
   r.path_ = path.string();
-  r.storage_ = path.extension() == ".db3" ? "sqlite3" : "mcap";
-  if (path.extension() != ".db3" && path.extension() != ".mcap") {
+  if (path.extension() != ".mcap") {
     if (!fs::create_directory(path, error))
       return fail(ErrorCode::kNotFound, "cannot be created: " + error.message(), given);
     r.folder_ = path.string();
     r.path_ = (path / (path.filename().string() + "_0.mcap")).string();
   }
-  XAUTO_ASSIGN(r.writer_, r.storage_ == "mcap" ? create_mcap(r.path_) : create_sqlite(r.path_));
+  XAUTO_ASSIGN(r.writer_, create_mcap(r.path_));
   return r;
 }
 
@@ -114,7 +116,7 @@ std::string Recorder::metadata(const std::string& indent) const {
   std::string out;
   const auto line = [&](const std::string& text) { out += indent + text; };
   line("version: " + std::to_string(kMetadataVersion) + "\n");
-  line("storage_identifier: " + storage_ + "\n");
+  line("storage_identifier: mcap\n");
   line("duration:\n");
   line("  " + duration);
   line("starting_time:\n");

@@ -4,7 +4,7 @@
 //
 //   recording.cc (files merged by time)  ─► storage.h ─► mcap_reader.cc ─► mcap_layout.h, mcap_block.h
 //   recorder.cc (folder, metadata.yaml)  ─┘        └───► sqlite_reader.cc
-//                                                        mcap_writer.cc, sqlite_writer.cc
+//                                                        mcap_writer.cc
 //
 // Reading trusts nothing in a file.
 #pragma once
@@ -41,7 +41,7 @@ inline constexpr std::int64_t kGapNs = 60'000'000'000;
 struct Topic {
   std::string name, type, serialization_format;
   /// What `type` means to who has never seen it: "ros2msg" and the .msg files' text, for example.
-  /// Both empty: not known, or the storage is sqlite3, where we do not keep it.
+  /// Both empty: not known, or the storage is sqlite3, where it is not read.
   std::string schema_encoding = {}, schema = {};
 };
 
@@ -99,7 +99,7 @@ class Recorder {
  public:
   /// The next thread that calls is another one; the caller orders the two.
   void give_away() { thread_.give_away(); }
-  /// "x.mcap", "x.db3": that file alone. Any other path: a rosbag2 folder with x_0.mcap and
+  /// "x.mcap": that file alone. "x.db3" is refused. Any other path: a rosbag2 folder with x_0.mcap and
   /// metadata.yaml. Refuses to overwrite.
   [[nodiscard]] static Result<Recorder> create(const std::string& path);
   Recorder(Recorder&&) noexcept;
@@ -125,9 +125,8 @@ class Recorder {
   [[nodiscard]] std::string metadata(const std::string& indent) const;
 
   OneThread thread_;
-  std::string path_;    ///< of the file
-  std::string folder_;  ///< empty for a file alone
-  std::string storage_;
+  std::string path_;                ///< of the file
+  std::string folder_;              ///< empty for a file alone
   std::unique_ptr<Writer> writer_;  ///< null: closed
   std::vector<Written> topics_;
   std::uint64_t num_messages_ = 0;

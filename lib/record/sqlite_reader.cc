@@ -11,7 +11,6 @@
 #include <sqlite3.h>
 
 #include "record/salvage.h"
-#include "record/sqlite.h"
 #include "record/storage.h"
 
 namespace xauto::record {
@@ -36,6 +35,13 @@ std::string text_of(sqlite3_stmt* row, int column) {
              ? ""
              : std::string(text, static_cast<std::size_t>(sqlite3_column_bytes(row, column)));
 }
+
+struct SqliteCloser {
+  void operator()(sqlite3* database) const { sqlite3_close_v2(database); }
+  void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+};
+using Database = std::unique_ptr<sqlite3, SqliteCloser>;
+using Statement = std::unique_ptr<sqlite3_stmt, SqliteCloser>;
 
 class SqliteReader final : public Reader {
  public:
@@ -377,13 +383,6 @@ Result<std::optional<Message>> SqliteReader::next() {
 }
 
 }  // namespace
-
-void SqliteCloser::operator()(sqlite3* database) const {
-  sqlite3_close_v2(database);
-}
-void SqliteCloser::operator()(sqlite3_stmt* statement) const {
-  sqlite3_finalize(statement);
-}
 
 Status salvage_sqlite(const std::string& path, const Take& take, Salvaged& out) {
   return SqliteReader::salvage(path, take, out);

@@ -61,7 +61,6 @@ class Writer {
   [[nodiscard]] virtual Status close(const std::string& metadata) = 0;
 };
 
-[[nodiscard]] Result<std::unique_ptr<Writer>> create_sqlite(const std::string& path);
 [[nodiscard]] Result<std::unique_ptr<Writer>> create_mcap(const std::string& path);
 
 /// The files of a recording, in their order, and what its metadata.yaml says.

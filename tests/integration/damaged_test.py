@@ -38,7 +38,7 @@ class Damaged(Runs):
         self.assertEqual(told.returncode, 1, told.stderr)
         self.assertIn("18446744073709551611", told.stderr)
         self.assertIn("19 messages can be read", told.stdout)
-        for out in ("b.mcap", "b.db3", "b"):
+        for out in ("b.mcap", "b"):
             mended = xauto("recording", "repair", path, self.path(out), "--json")
             self.assertEqual(mended.returncode, 0, mended.stderr)
             self.assertEqual(json.loads(mended.stdout)["messages"], 19)

@@ -144,10 +144,13 @@ class Bags(Case):
         self.look(self.path("drive"), 5)
         self.assertEqual(self.run_app("--input", self.path("drive"), result="again"), pathlib.Path(self.path("result")).read_text())
 
-    def test_sqlite_stays(self):
-        """A .db3 file, and one of before: its topics have the app's names, C++ types and plain bytes."""
-        expected = self.run_app("--activations", 5, "--record", self.path("new.db3"))
-        self.assertEqual(self.run_app("--input", self.path("new.db3"), result="again"), expected)
+    def test_sqlite_is_read_and_not_written(self):
+        """Its topics have the app's names, C++ types and plain bytes."""
+        expected = self.run_app("--activations", 5)
+        new = self.path("new.db3")
+        done = xauto("run", *self.files, "--activations", 5, "--record", new, "--", TESTAPP, self.path("r"))
+        self.assertEqual((done.returncode, os.path.exists(new)), (2, False), done.stderr)
+        self.assertRegex(done.stderr, r"new.db3: SQLite is read and not written\n.*\.mcap")
         database = sqlite3.connect(self.path("old.db3"))
         database.executescript("""
             CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL); INSERT INTO schema VALUES (3, '');

@@ -59,7 +59,7 @@ class Outputs(unittest.TestCase):
                               "profile": ["--out", "--app-out"], "solve": ["--out"], "simulate": ["--out"],
                               "report": ["--out"], "compare": ["--out"]}.items():
             for option in options:
-                for where in ("missing/x.db3", "file/x.db3"):
+                for where in ("missing/x.mcap", "file/x.mcap"):
                     if verb == "compare" and where.startswith("missing"):
                         continue  # it makes its folder
                     with self.subTest(verb=verb, option=option, where=where):
@@ -103,12 +103,12 @@ class Outputs(unittest.TestCase):
         self.assertIn("a1", (folder / "report.html").read_text())
 
     def test_a_recording_that_cannot_be_written_does_not_cost_the_table(self):
-        # The app limits the size of its files: as on a full disk, SQLite's writes fail.
-        done = xauto("run", *self.verbs("x")["run"][0][:-1], 40, "--record", self.path("limited.db3"), "--",
-                     *self.app("x", "filelimit", "65536"))
+        # The app limits the size of its files: as on a full disk, writes fail.
+        done = xauto("run", *self.verbs("x")["run"][0][:-1], 40, "--record-outputs", "--record", self.path("limited.mcap"), "--",
+                     *self.app("x", "filelimit", "20000"))
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertRegex(done.stdout, r"policy +\d+\.\d\d.* 40\n")
-        self.assertRegex(done.stderr, r"error: --record .*limited.db3: ")
+        self.assertRegex(done.stderr, r"error: --record .*limited.mcap: ")
 
     def test_a_full_stdout_is_told_and_the_files_are_there(self):
         out = self.path("report-of-full.json")

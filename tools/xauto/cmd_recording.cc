@@ -225,7 +225,7 @@ void add_recording(Commands& commands) {
       .required()
       .one_of({"info", "check", "repair"});
   verb.option("file", flags->path, "a .mcap file, a .db3 file or a rosbag2 folder").required();
-  verb.option("out", flags->out, "of repair: what it writes, by its name .mcap, .db3 or a folder");
+  verb.option("out", flags->out, "of repair: what it writes, by its name .mcap or a folder");
 }
 
 }  // namespace xauto::cli

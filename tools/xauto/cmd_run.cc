@@ -202,7 +202,7 @@ void add_run(Commands& commands) {
       .separated_by(',')
       .one_of(kGateWords);
   verb.option("--record", flags->record,
-              "record the sources' messages here: .mcap, .db3, or a rosbag2 folder");
+              "record the sources' messages here: .mcap, or a rosbag2 folder");
   verb.flag("--record-outputs", flags->record_outputs,
             "with --record: what modules publish, too, where their types can be encoded");
 }

@@ -5,10 +5,10 @@
 #include <fstream>
 
 #include <gtest/gtest.h>
-#include <sqlite3.h>
 #include <unistd.h>
 
 #include "../golden_cases.h"
+#include "sqlite_file.h"
 
 namespace xauto::record {
 namespace {
@@ -35,37 +35,6 @@ std::vector<std::byte> bytes(const std::string& text) {
   return {data, data + text.size()};
 }
 
-void run_sql(const std::string& path, const std::string& sql) {
-  sqlite3* database = nullptr;
-  ASSERT_EQ(sqlite3_open(path.c_str(), &database), SQLITE_OK);
-  char* message = nullptr;
-  EXPECT_EQ(
-      sqlite3_exec(database, ("PRAGMA synchronous=OFF;" + sql).c_str(), nullptr, nullptr, &message),
-      SQLITE_OK)
-      << (message != nullptr ? message : "");
-  sqlite3_free(message);
-  sqlite3_close(database);
-}
-
-/// One text per row, columns joined with '|'.
-std::vector<std::string> query(const std::string& path, const std::string& sql) {
-  sqlite3* database = nullptr;
-  EXPECT_EQ(sqlite3_open_v2(path.c_str(), &database, SQLITE_OPEN_READONLY, nullptr), SQLITE_OK);
-  std::vector<std::string> rows;
-  const auto collect = [](void* out, int columns, char** values, char**) {
-    std::string row;
-    for (int i = 0; i < columns; ++i) {
-      if (i > 0) row += '|';
-      if (values[i] != nullptr) row += values[i];
-    }
-    static_cast<std::vector<std::string>*>(out)->push_back(row);
-    return 0;
-  };
-  EXPECT_EQ(sqlite3_exec(database, sql.c_str(), collect, &rows, nullptr), SQLITE_OK) << sql;
-  sqlite3_close(database);
-  return rows;
-}
-
 Status record_two(const std::string& path) {
   XAUTO_ASSIGN(auto recorder, Recorder::create(path));
   XAUTO_ASSIGN(const std::size_t camera,
@@ -78,27 +47,38 @@ Status record_two(const std::string& path) {
   return recorder.close();
 }
 
+/// The same in SQLite.
+void sqlite_two(const std::string& path) {
+  test::write_sqlite(
+      path,
+      {"'/camera', 'sensor_msgs/msg/Image', 'cdr'", "'/lidar \"front\"', 'xauto/Scan', 'xauto'"},
+      {"2, 2000, CAST('second' AS BLOB)", "1, 1000, CAST('first' AS BLOB)", "1, 2000, x''"});
+}
+
 TEST_F(RecordingTest, MessagesComeBackByTimeThenInTheOrderWritten) {
-  const auto written = record_two(path("a.db3"));
+  const auto written = record_two(path("a.mcap"));
   ASSERT_TRUE(written) << written.error().to_string();
-  auto recording = Recording::open(path("a.db3"));
-  ASSERT_TRUE(recording) << recording.error().to_string();
-  EXPECT_EQ(recording->num_messages(), 3u);
-  ASSERT_EQ(recording->topics().size(), 2u);
-  EXPECT_EQ(recording->topics()[0].name, "/camera");
-  EXPECT_EQ(recording->topics()[1].serialization_format, "xauto");
-  std::vector<std::string> seen;
-  for (;;) {
-    const auto message = recording->next();
-    ASSERT_TRUE(message) << message.error().to_string();
-    if (!*message) break;
-    const auto& data = (*message)->data;
-    seen.push_back(std::to_string((*message)->topic) + " " +
-                   std::to_string((*message)->timestamp_ns) + " " +
-                   std::string(reinterpret_cast<const char*>(data.data()), data.size()));
+  sqlite_two(path("a.db3"));
+  for (const char* name : {"a.mcap", "a.db3"}) {
+    auto recording = Recording::open(path(name));
+    ASSERT_TRUE(recording) << recording.error().to_string();
+    EXPECT_EQ(recording->num_messages(), 3u);
+    ASSERT_EQ(recording->topics().size(), 2u);
+    EXPECT_EQ(recording->topics()[0].name, "/camera");
+    EXPECT_EQ(recording->topics()[1].serialization_format, "xauto");
+    std::vector<std::string> seen;
+    for (;;) {
+      const auto message = recording->next();
+      ASSERT_TRUE(message) << message.error().to_string();
+      if (!*message) break;
+      const auto& data = (*message)->data;
+      seen.push_back(std::to_string((*message)->topic) + " " +
+                     std::to_string((*message)->timestamp_ns) + " " +
+                     std::string(reinterpret_cast<const char*>(data.data()), data.size()));
+    }
+    EXPECT_EQ(seen, (std::vector<std::string>{"0 1000 first", "1 2000 second", "0 2000 "}));
+    EXPECT_FALSE(recording->next().value()) << "the end stays the end";
   }
-  EXPECT_EQ(seen, (std::vector<std::string>{"0 1000 first", "1 2000 second", "0 2000 "}));
-  EXPECT_FALSE(recording->next().value()) << "the end stays the end";
 }
 
 TEST_F(RecordingTest, FolderIsWhatRosbag2Wants) {
@@ -109,40 +89,26 @@ TEST_F(RecordingTest, FolderIsWhatRosbag2Wants) {
             test::slurp(test::golden() / "metadata.yaml"));
 }
 
-TEST_F(RecordingTest, DatabaseIsWhatRosbag2Wants) {
-  ASSERT_TRUE(record_two(path("drive.db3")));
-  const std::string database = path("drive.db3");
-  EXPECT_EQ(query(database, "SELECT schema_version, ros_distro FROM schema"),
-            std::vector<std::string>{"3|"});
-  EXPECT_EQ(
-      query(database, "SELECT name FROM sqlite_master ORDER BY name"),
-      (std::vector<std::string>{"messages", "metadata", "schema", "timestamp_idx", "topics"}));
-  EXPECT_EQ(query(database,
-                  "SELECT id, name, type, serialization_format, offered_qos_profiles FROM topics"),
-            (std::vector<std::string>{"1|/camera|sensor_msgs/msg/Image|cdr|[]",
-                                      "2|/lidar \"front\"|xauto/Scan|xauto|[]"}));
-  EXPECT_EQ(query(database, "SELECT metadata_version FROM metadata"),
-            std::vector<std::string>{"5"});
-}
-
 // The layouts of rosbag2's older and newer storage versions.
 TEST_F(RecordingTest, RecordingsOfAllSchemaVersionsAreRead) {
   const std::string rows = "INSERT INTO messages VALUES (1, 7, 5, x'00');";
   const std::string messages =
       "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,"
       " timestamp INTEGER NOT NULL, data BLOB NOT NULL);";
-  run_sql(path("v1.db3"),
-          "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-          " serialization_format TEXT NOT NULL); INSERT INTO topics VALUES (7, 'a', 'b', 'cdr');" +
-              messages + rows);
-  run_sql(path("v4.db3"),
-          "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
-          "INSERT INTO schema VALUES (4, 'jazzy');"
-          "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-          " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,"
-          " type_description_hash TEXT NOT NULL); INSERT INTO topics VALUES (7, 'a', 'b', 'cdr', "
-          "'', '');" +
-              messages + rows);
+  test::run_sql(
+      path("v1.db3"),
+      "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+      " serialization_format TEXT NOT NULL); INSERT INTO topics VALUES (7, 'a', 'b', 'cdr');" +
+          messages + rows);
+  test::run_sql(
+      path("v4.db3"),
+      "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
+      "INSERT INTO schema VALUES (4, 'jazzy');"
+      "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+      " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,"
+      " type_description_hash TEXT NOT NULL); INSERT INTO topics VALUES (7, 'a', 'b', 'cdr', "
+      "'', '');" +
+          messages + rows);
   for (const char* name : {"v1.db3", "v4.db3"}) {
     auto recording = Recording::open(path(name));
     ASSERT_TRUE(recording) << recording.error().to_string();
@@ -151,12 +117,13 @@ TEST_F(RecordingTest, RecordingsOfAllSchemaVersionsAreRead) {
 }
 
 TEST_F(RecordingTest, RecorderNeverOverwritesAndChecksWhatItIsGiven) {
-  std::ofstream(path("there.db3")) << "precious";
-  EXPECT_EQ(Recorder::create(path("there.db3")).error().code, ErrorCode::kInvalid);
-  EXPECT_EQ(test::slurp(path("there.db3")), "precious");
-  EXPECT_FALSE(Recorder::create(path("no/such/a.db3")));
+  std::ofstream(path("there.mcap")) << "precious";
+  EXPECT_EQ(Recorder::create(path("there.mcap")).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(test::slurp(path("there.mcap")), "precious");
+  EXPECT_FALSE(Recorder::create(path("no/such/a.mcap")));
   EXPECT_FALSE(Recorder::create(path("no/such/folder")));
-  auto recorder = Recorder::create(path("a.db3"));
+  EXPECT_EQ(Recorder::create(path("a.db3")).error().what, "SQLite is read and not written");
+  auto recorder = Recorder::create(path("a.mcap"));
   ASSERT_TRUE(recorder);
   EXPECT_FALSE(recorder->add_topic({"", "t", "f"}));
   ASSERT_TRUE(recorder->add_topic({"a", "t", "f"}));
@@ -175,8 +142,18 @@ TEST_F(RecordingTest, FilesOfAFolderAreOneRecording) {
     const std::string bag = path("bag" + suffix);
     fs::create_directories(bag);
     for (int file = 0; file < 12; ++file) {
-      auto recorder = Recorder::create(bag + "/bag_" + std::to_string(file) + suffix);
-      ASSERT_TRUE(recorder && recorder->add_topic({"of " + std::to_string(file % 2), "t", "f"}));
+      const std::string name = bag + "/bag_" + std::to_string(file) + suffix;
+      const std::string topic = "of " + std::to_string(file % 2);
+      if (suffix == ".db3") {
+        std::vector<std::string> rows;
+        for (int i = 0; i < 20; ++i)
+          rows.push_back("1, " + std::to_string(10 * file + i) + ", CAST('" + std::to_string(file) +
+                         "' AS BLOB)");
+        test::write_sqlite(name, {"'" + topic + "', 't', 'f'"}, rows);
+        continue;
+      }
+      auto recorder = Recorder::create(name);
+      ASSERT_TRUE(recorder && recorder->add_topic({topic, "t", "f"}));
       for (int i = 0; i < 20; ++i)
         ASSERT_TRUE(recorder->write(0, 10 * file + i, bytes(std::to_string(file))));
       ASSERT_TRUE(recorder->close());
@@ -208,17 +185,17 @@ TEST_F(RecordingTest, FilesOfAFolderAreOneRecording) {
 
 TEST_F(RecordingTest, RecorderThatIsDroppedKeepsItsMessages) {
   {
-    auto recorder = Recorder::create(path("a.db3"));
+    auto recorder = Recorder::create(path("a.mcap"));
     ASSERT_TRUE(recorder && recorder->add_topic({"a", "t", "f"}));
     for (int i = 0; i < 1000; ++i) ASSERT_TRUE(recorder->write(0, i, bytes("x")));
   }
-  EXPECT_EQ(Recording::open(path("a.db3"))->num_messages(), 1000u);
+  EXPECT_EQ(Recording::open(path("a.mcap"))->num_messages(), 1000u);
 }
 
 TEST_F(RecordingTest, MessageBeyondTheLimitIsRefused) {
-  ASSERT_TRUE(record_two(path("a.db3")));
-  run_sql(path("a.db3"), "UPDATE messages SET data = zeroblob(" +
-                             std::to_string(kMaxMessageBytes + 1) + ") WHERE id = 2");
+  sqlite_two(path("a.db3"));
+  test::run_sql(path("a.db3"), "UPDATE messages SET data = zeroblob(" +
+                                   std::to_string(kMaxMessageBytes + 1) + ") WHERE id = 2");
   auto recording = Recording::open(path("a.db3"));
   ASSERT_TRUE(recording) << recording.error().to_string();
   const auto message = recording->next();
@@ -252,7 +229,7 @@ TEST_F(RecordingTest, FolderThatCannotBeReadIsRefused) {
 
 /// A file of cut or flipped bytes is refused or read, never more.
 TEST_F(RecordingTest, DamagedFilesAreRefusedOrReadToTheirEnd) {
-  ASSERT_TRUE(record_two(path("a.db3")));
+  sqlite_two(path("a.db3"));
   const std::string whole = test::slurp(path("a.db3"));
   int refused = 0;
   for (std::size_t at = 0; at < whole.size(); at += 61) {

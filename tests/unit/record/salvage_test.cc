@@ -5,12 +5,14 @@
 #include <filesystem>
 #include <fstream>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
-#include <sqlite3.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include "record/mcap_format.h"
+
+#include "sqlite_file.h"
 
 namespace xauto::record {
 namespace {
@@ -238,8 +240,6 @@ TEST_F(SalvageTest, AFileWhoseBeginningIsGoneGivesWhatFollows) {
 
 // SQLite itself makes the file, and the bad rows.
 TEST_F(SalvageTest, RowsOfSqliteThatAreNoneAreLeftOut) {
-  sqlite3* database = nullptr;
-  ASSERT_EQ(sqlite3_open(path("a.db3").c_str(), &database), SQLITE_OK);
   std::string sql =
       "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
       " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
@@ -252,8 +252,7 @@ TEST_F(SalvageTest, RowsOfSqliteThatAreNoneAreLeftOut) {
            (i == 11 ? ", NULL);"
                     : ", x'" + std::string(1, "0123456789abcdef"[i / 16]) +
                           std::string(1, "0123456789abcdef"[i % 16]) + "00000000000000');");
-  ASSERT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK);
-  sqlite3_close(database);
+  test::run_sql(path("a.db3"), sql);
   Salvaged of;
   EXPECT_EQ(numbers("a.db3", &of), all_but({4, 7, 11}));
   EXPECT_EQ(of.faults, 3u);
@@ -267,16 +266,18 @@ TEST_F(SalvageTest, RowsOfSqliteThatAreNoneAreLeftOut) {
   }()) << "and it is refused as it is";
 }
 
+/// numbers from..to-1, `step_ns` apart, as SQLite's own file.
+void in_sqlite(const std::string& path, std::size_t from, std::size_t to, std::size_t step_ns) {
+  std::vector<std::string> rows;
+  for (std::size_t i = from; i < to; ++i)
+    rows.push_back(fmt::format("1, {}, x'{:02x}{:02x}000000000000'",
+                               static_cast<std::size_t>(kStart) + i * step_ns, i % 256, i / 256));
+  test::write_sqlite(path, {"'/x', 'a/msg/B', 'cdr'"}, rows);
+}
+
 // A page in the middle that is overwritten: what lies before it and behind it is there.
 TEST_F(SalvageTest, SqliteIsReadFromBothEnds) {
-  {
-    auto recorder = Recorder::create(path("a.db3"));
-    ASSERT_TRUE(recorder);
-    ASSERT_TRUE(recorder->add_topic({"/x", "a/msg/B", "cdr"}));
-    for (std::uint64_t i = 0; i < 4000; ++i)
-      ASSERT_TRUE(recorder->write(0, kStart + static_cast<std::int64_t>(i), number(i)));
-    ASSERT_TRUE(recorder->close());
-  }
+  in_sqlite(path("a.db3"), 0, 4000, 1);
   const auto pages = fs::file_size(path("a.db3")) / 4096;
   std::fstream file(path("a.db3"), std::ios::binary | std::ios::in | std::ios::out);
   file.seekp(static_cast<std::streamoff>(pages / 2 * 4096));
@@ -297,6 +298,7 @@ TEST_F(SalvageTest, SqliteIsReadFromBothEnds) {
 
 TEST_F(SalvageTest, AFolderTellsOfEachFileThatIsDamagedWhereverItStands) {
   const auto good = [&](const std::string& name, std::size_t from, std::size_t to) {
+    if (name.ends_with(".db3")) return in_sqlite(path(name), from, to, kMs);
     auto recorder = Recorder::create(path(name));
     ASSERT_TRUE(recorder && recorder->add_topic({"/x", "a/msg/B", "cdr"}));
     for (std::size_t i = from; i < to; ++i)
