@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Garbage to the doors of living runs: packets.py BIN [--seconds N] [--seed S].
 
-Three runs in turn, each attacked until its part of the time is over:
+Two runs in turn, each attacked until its part of the time is over:
   sockets  every Unix socket of a run: random packets with small numbers in front, descriptors, connections that say nothing,
            answers that nobody reads; as the run's own user, and as another one (65534) where this is root
   dds      the UDP ports of a run that hears and speaks over DDS: real RTPS packets of its own, seen on the loopback device and
            sent again with bytes changed, cut and joined (needs root, and the Cyclone DDS plug-in)
-  http     the Prometheus exporter: random heads, cut and slow ones
 The run has to end by itself when it is told to, with all its releases accounted for, and to answer `xauto top` meanwhile.
 All goes to this machine's loopback and its own sockets. Shares no code with lib/. The last line is a count."""
 import argparse
@@ -206,42 +205,6 @@ def rtps(target, rng, until):
     return len(seen)
 
 
-def http(port, rng, until):
-    held = []
-    while time.monotonic() < until:
-        try:
-            door = socket.create_connection(("127.0.0.1", port), timeout=0.2)
-            head = rng.choice([b"GET /metrics HTTP/1.1\r\n\r\n", b"GET /../../etc/passwd HTTP/1.0\r\n\r\n", b"POST / HTTP/1.1\r\nContent-Length: 99999999\r\n\r\n", rng.randbytes(300)])
-            door.send(head[:rng.randint(0, len(head))] + rng.randbytes(rng.choice([0, 0, 5, 100_000])))
-            held.append(door)
-        except OSError:
-            pass
-        if len(held) > 50:
-            held.pop(rng.randrange(len(held))).close()
-        time.sleep(0.005)
-
-
-def exporter(bin_folder, folder, rng, until):
-    target = Target(bin_folder, folder, "http")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    monitor = subprocess.Popen([str(bin_folder / "xauto"), "monitor", "--metrics-port", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    time.sleep(1)
-    http(port, rng, until)
-    bad = [] if monitor.poll() is None else [f"the exporter has ended: {monitor.communicate()[1][-500:]}"]
-    if not bad:
-        try:
-            got = subprocess.run(["curl", "-s", "-m", "20", f"http://127.0.0.1:{port}/metrics"], capture_output=True, text=True, timeout=30).stdout
-            if "xauto_" not in got:
-                bad.append(f"the exporter's page: {got[:200]!r}")
-        except subprocess.TimeoutExpired:
-            bad.append("the exporter does not answer")
-        monitor.terminate()
-        monitor.wait(timeout=20)
-    return bad + target.end()
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bin", type=pathlib.Path)
@@ -252,13 +215,13 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         os.chmod(name, 0o755)
         folder = pathlib.Path(name)
-        for part in ("sockets", "dds", "http"):
-            until = time.monotonic() + options.seconds / 3
+        for part in ("sockets", "dds"):
+            until = time.monotonic() + options.seconds / 2
             if part == "sockets":
                 target = Target(bin_folder, folder, part)
                 sockets(target, rng, until)
                 bad = target.end()
-            elif part == "dds":
+            else:
                 if os.getuid() != 0 or not (bin_folder.parent / "lib/xauto/cyclonedds.so").exists():
                     print("packets: skipped: dds needs root and the Cyclone DDS plug-in")
                     skipped += 1
@@ -271,8 +234,6 @@ def main():
                 hearer.kill()
                 hearer.wait()
                 bad = target.end() + ([] if seen else ["no RTPS packet was seen, so none was changed"])
-            else:
-                bad = exporter(bin_folder, folder, rng, until)
             passed, failed = passed + (not bad), failed + bool(bad)
             for line in bad:
                 print(f"packets: {part}: {line}", flush=True)

@@ -3,51 +3,49 @@
 // only reads, so it costs a run nothing, keeps none from ending, and ends without any harm.
 //
 //   runs' boards, coordinators ── looked at once per interval ──┬─► FILE.prom   (renamed into place)
-//                                                               ├─► http://ADDRESS:PORT/metrics
 //                                                               └─► /diagnostics
+//
+// It opens no port: node_exporter, or whatever collects the machine's metrics, serves the file.
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <map>
 #include <optional>
-#include <thread>
 #include <utility>
 
 #include <fmt/format.h>
 #include <poll.h>
-#include <sys/eventfd.h>
 #include <unistd.h>
 
 #include "base/clock.h"
 #include "base/log.h"
-#include "base/mutex.h"
-#include "base/socket.h"
-#include "base/thread.h"
 
 #include "xauto/command.h"
 #include "xauto/diagnostics.h"
 #include "xauto/diagnostics_topic.h"
 #include "xauto/live.h"
 #include "xauto/metrics.h"
-#include "xauto/metrics_server.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
 namespace {
 
 struct MonitorFlags {
-  std::string run, file, address = "127.0.0.1";
-  int port = 0, interval_ms = 1000, wait_s = 0;
+  std::string run, file;
+  int interval_ms = 1000, wait_s = 0;
   bool diagnostics = false;
 };
 
 /// Whole or not at all: who reads it never sees half of it.
 Status replace_file(const std::string& path, const std::string& text) {
-  const std::string fresh = fmt::format("{}.{}", path, getpid());
+  const std::filesystem::path whole(path);
+  const std::string fresh =
+      (whole.parent_path() / fmt::format(".{}.{}", whole.filename().string(), getpid())).string();
   std::ofstream file(fresh, std::ios::trunc | std::ios::binary);
   file << text << std::flush;
   file.close();
@@ -65,55 +63,6 @@ struct Seen {
   std::vector<Diagnostic> said;
 };
 
-/// Scrapers are answered by a thread of their own, however long it takes to look at the runs.
-class Scraped {
- public:
-  static Result<std::unique_ptr<Scraped>> start(std::unique_ptr<MetricsServer> server,
-                                                const std::string& metrics) {
-    auto made = std::unique_ptr<Scraped>(new Scraped(std::move(server)));
-    made->show(metrics);
-    if (!made->wake_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
-    XAUTO_ASSIGN(made->thread_, start_thread([s = made.get()] { s->serve(); }));
-    return made;
-  }
-  ~Scraped() {
-    quit_.store(true);
-    signal_eventfd(wake_.get());
-    if (thread_.joinable()) thread_.join();
-  }
-  Scraped(const Scraped&) = delete;
-  Scraped& operator=(const Scraped&) = delete;
-
-  void show(std::string metrics) {
-    const Lock lock(mutex_);
-    fresh_ = std::move(metrics);
-  }
-
- private:
-  explicit Scraped(std::unique_ptr<MetricsServer> server)
-      : server_(std::move(server)), wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
-  void serve() {
-    while (!quit_.load()) {
-      std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}};
-      server_->add_to(fds);
-      (void)poll(fds.data(), fds.size(), kLookMs);  // the patience with clients ends, too
-      {
-        const Lock lock(mutex_);
-        if (fresh_) server_->show(*std::exchange(fresh_, std::nullopt));
-      }
-      server_->serve(now_ns());
-    }
-  }
-
-  static constexpr int kLookMs = 1000;
-  const std::unique_ptr<MetricsServer> server_;  ///< of the thread
-  const UniqueFd wake_;
-  std::atomic<bool> quit_{false};
-  Mutex mutex_;
-  std::optional<std::string> fresh_ XAUTO_GUARDED_BY(mutex_);
-  std::thread thread_;
-};
-
 /// Until then, or until it is told to end.
 void wait_until(std::int64_t until_ns, const std::atomic<bool>& stop) {
   for (std::int64_t now = now_ns(); now < until_ns && !stop.load(); now = now_ns())
@@ -125,11 +74,7 @@ class Monitor {
  public:
   explicit Monitor(const MonitorFlags& flags) : flags_(flags) {}
 
-  Status open(bool port) {
-    if (port) {
-      XAUTO_ASSIGN(server_, MetricsServer::open(flags_.address, flags_.port));
-      log::info("metrics are at http://{}:{}/metrics", flags_.address, server_->port());
-    }
+  Status open() {
     if (flags_.diagnostics) {
       XAUTO_ASSIGN(topic_, DiagnosticsTopic::open());
     }
@@ -177,11 +122,6 @@ class Monitor {
     }
     said_ = all;
     metrics_ = metrics_text(looks);
-    if (server_) {
-      XAUTO_ASSIGN(scraped_, Scraped::start(std::move(server_), metrics_));
-    } else if (scraped_) {
-      scraped_->show(metrics_);
-    }
     if (topic_ && !all.empty()) topic_->publish(all);
     if (flags_.file.empty()) return !seen_.empty();
     // A disk that is full later on is no reason to end the rest; who reads the file sees its age.
@@ -213,8 +153,6 @@ class Monitor {
 
  private:
   const MonitorFlags& flags_;
-  std::unique_ptr<MetricsServer> server_;  ///< until there is something to show
-  std::unique_ptr<Scraped> scraped_;
   std::optional<DiagnosticsTopic> topic_;
   std::map<std::string, Seen> seen_;
   std::string metrics_;
@@ -236,15 +174,15 @@ std::string statuses_json(const std::vector<Diagnostic>& statuses) {
   return Json{{"status", std::move(list)}}.dump(2) + "\n";
 }
 
-Result<int> monitor(const MonitorFlags& flags, bool port, const Options& options) {
+Result<int> monitor(const MonitorFlags& flags, const Options& options) {
   const StopOnSignal stop;
-  const bool once = flags.file.empty() && !port && !flags.diagnostics;
+  const bool once = flags.file.empty() && !flags.diagnostics;
   // One run by name, or one look: it is waited for. A monitor of all runs waits for any, for ever.
   if ((once && running().empty()) || !flags.run.empty()) {
     XAUTO_TRY(watch(flags.run, flags.wait_s, *stop.flag()));
   }
   Monitor monitor(flags);
-  XAUTO_TRY(monitor.open(port));
+  XAUTO_TRY(monitor.open());
   const std::int64_t interval_ns = std::int64_t{flags.interval_ms} * 1'000'000;
   if (once) {
     XAUTO_TRY(monitor.look());
@@ -274,22 +212,15 @@ Result<int> monitor(const MonitorFlags& flags, bool port, const Options& options
 
 void add_monitor(Commands& commands) {
   auto flags = std::make_shared<MonitorFlags>();
-  auto port = std::make_shared<std::optional<Argument>>();
   Verb verb = commands.add(
       "monitor",
       "Export runs that go on, for Prometheus and for ROS 2's /diagnostics; without an output: the "
       "metrics once.",
-      "xauto monitor\n  xauto monitor --metrics-port 9469 --diagnostics\n"
-      "  xauto monitor --metrics-file /var/lib/prometheus/node-exporter/xauto.prom",
-      [flags, port](const Options& options) { return monitor(*flags, (*port)->given(), options); });
+      "xauto monitor\n"
+      "  xauto monitor --diagnostics --metrics-file /var/lib/prometheus/node-exporter/xauto.prom",
+      [flags](const Options& options) { return monitor(*flags, options); });
   verb.option("--metrics-file", flags->file,
               "keep the metrics in this file (FILE.prom), for node_exporter's textfile collector");
-  *port = verb.option("--metrics-port", flags->port,
-                      "answer GET /metrics on this port; 0: any that is free")
-              .range(0, 65'535);
-  verb.option("--metrics-address", flags->address,
-              "address to listen on; beyond 127.0.0.1 everybody may read the metrics")
-      .shown();
   verb.flag("--diagnostics", flags->diagnostics,
             "publish diagnostic_msgs/msg/DiagnosticArray on /diagnostics, over Cyclone DDS");
   verb.option("--run", flags->run, "this run alone, to its end; default: all, also later ones");

@@ -13,8 +13,6 @@ namespace xauto::cli {
 /// Of all runs together: a metric's lines are one group there. Two looks of one run are not allowed.
 [[nodiscard]] std::string metrics_text(const std::vector<RunLook>& runs);
 
-inline constexpr const char* kMetricsType = "text/plain; version=0.0.4; charset=utf-8";
-
 /// Upper ends of the histograms' buckets in microseconds: where buckets of the board end, so that
 /// every count is exact.
 [[nodiscard]] std::vector<std::int64_t> latency_bounds_us();

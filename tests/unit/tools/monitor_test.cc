@@ -18,7 +18,6 @@
 #include "xauto/diagnostics.h"
 #include "xauto/live.h"
 #include "xauto/metrics.h"
-#include "xauto/metrics_server.h"
 
 namespace xauto::cli {
 namespace {
@@ -327,116 +326,6 @@ TEST(Metrics, ScenariosThatTheRunHasNotNamedYetAreAbsent) {
 
 TEST(Metrics, WithoutARunThereIsStillAPage) {
   EXPECT_TRUE(has(metrics_text({}), "xauto_runs 0"));
-}
-
-// ---- HTTP ----------------------------------------------------------------------------------------
-
-TEST(MetricsServer, AnswersAsRfc9110Says) {
-  const auto answer = [](const std::string& line) {
-    return http_answer(line + "\r\nHost: x\r\n\r\n", "m 1\n");
-  };
-  EXPECT_TRUE(answer("GET /metrics HTTP/1.1").starts_with("HTTP/1.1 200 OK\r\n"));
-  EXPECT_TRUE(answer("GET /metrics?x=1 HTTP/1.0").ends_with("\r\n\r\nm 1\n"));
-  EXPECT_NE(answer("GET /metrics HTTP/1.1").find("Content-Length: 4\r\n"), std::string::npos);
-  EXPECT_TRUE(answer("HEAD /metrics HTTP/1.1").ends_with("\r\n\r\n"));
-  EXPECT_NE(answer("HEAD /metrics HTTP/1.1").find("Content-Length: 4\r\n"), std::string::npos);
-  EXPECT_TRUE(answer("GET / HTTP/1.1").starts_with("HTTP/1.1 404 "));
-  EXPECT_TRUE(answer("POST /metrics HTTP/1.1").starts_with("HTTP/1.1 405 "));
-  EXPECT_NE(answer("POST /metrics HTTP/1.1").find("Allow: GET, HEAD\r\n"), std::string::npos);
-  for (const char* line : {"", " ", "GET", "GET /metrics", "GET /metrics HTTP/2", "GET  HTTP/1.1"})
-    EXPECT_TRUE(answer(line).starts_with("HTTP/1.1 400 ")) << line;
-}
-
-class Scraping : public ::testing::Test {
- protected:
-  void SetUp() override {
-    auto opened = MetricsServer::open("127.0.0.1", 0);
-    ASSERT_TRUE(opened) << opened.error().to_string();
-    server_ = std::move(*opened);
-    server_->show(std::string(300'000, 'm'));
-  }
-  UniqueFd connected() {
-    UniqueFd socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    sockaddr_in to{};
-    to.sin_family = AF_INET;
-    to.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
-    to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    EXPECT_EQ(connect(socket.get(), reinterpret_cast<sockaddr*>(&to), sizeof to), 0);
-    return socket;
-  }
-  static void say(const UniqueFd& socket, const std::string& text) {
-    EXPECT_EQ(send(socket.get(), text.data(), text.size(), MSG_NOSIGNAL),
-              static_cast<ssize_t>(text.size()));
-  }
-  /// All that comes until the server hangs up, while it serves.
-  std::string heard(const UniqueFd& socket) {
-    std::string text;
-    for (;;) {
-      server_->serve(now_);
-      char bytes[4096];
-      const ssize_t got = recv(socket.get(), bytes, sizeof bytes, MSG_DONTWAIT);
-      if (got == 0) return text;
-      if (got > 0) {
-        text.append(bytes, static_cast<std::size_t>(got));
-        continue;
-      }
-      std::vector<pollfd> fds = {{socket.get(), POLLIN, 0}};
-      server_->add_to(fds);
-      if (poll(fds.data(), fds.size(), 10'000) == 0) return "nothing comes";
-    }
-  }
-  std::unique_ptr<MetricsServer> server_;
-  std::int64_t now_ = kSecond;
-};
-
-TEST_F(Scraping, ARequestMayComeInPiecesAndTheAnswerIsWhole) {
-  const UniqueFd socket = connected();
-  for (const char* piece : {"GET /met", "rics HTTP/1.1\r", "\nHost: car\r\n", "\r\n"}) {
-    say(socket, piece);
-    server_->serve(now_);
-  }
-  const std::string answer = heard(socket);
-  EXPECT_TRUE(answer.starts_with("HTTP/1.1 200 OK\r\n")) << answer.substr(0, 100);
-  EXPECT_TRUE(answer.ends_with("\r\n\r\n" + std::string(300'000, 'm')));
-}
-
-TEST_F(Scraping, ThoseThatHangKeepNobodyFromReading) {
-  std::vector<UniqueFd> silent, deaf;
-  for (int i = 0; i < 20; ++i) {
-    silent.push_back(connected());
-    deaf.push_back(connected());
-    say(deaf.back(), "GET /metrics HTTP/1.1\r\n\r\n");  // and never reads
-    server_->serve(now_);
-  }
-  const UniqueFd socket = connected();
-  say(socket, "GET /metrics HTTP/1.1\r\n\r\n");
-  EXPECT_TRUE(heard(socket).starts_with("HTTP/1.1 200 OK\r\n"));
-  // They are sent away when their time is over.
-  std::vector<pollfd> fds;
-  server_->add_to(fds);
-  EXPECT_GT(fds.size(), 1u);
-  EXPECT_LE(fds.size(), 1 + MetricsServer::kMaxClients);
-  server_->serve(now_ + MetricsServer::kPatienceNs + 1);
-  fds.clear();
-  server_->add_to(fds);
-  EXPECT_EQ(fds.size(), 1u);
-}
-
-TEST_F(Scraping, ARequestWithoutAnEndIsRefused) {
-  const UniqueFd socket = connected();
-  say(socket, "GET /metrics HTTP/1.1\r\n" + std::string(MetricsServer::kMaxHeadBytes, 'x'));
-  EXPECT_TRUE(heard(socket).starts_with("HTTP/1.1 431 "));
-}
-
-TEST(MetricsServerOpen, SaysWhatIsWrongWithAnAddress) {
-  const auto wrong = MetricsServer::open("car.local", 0);
-  ASSERT_FALSE(wrong);
-  EXPECT_EQ(wrong.error().code, ErrorCode::kInvalid);
-  const auto first = MetricsServer::open("127.0.0.1", 0);
-  ASSERT_TRUE(first);
-  const auto second = MetricsServer::open("127.0.0.1", (*first)->port());
-  ASSERT_FALSE(second);
-  EXPECT_NE(second.error().to_string().find("choose another"), std::string::npos);
 }
 
 /// "kind count" of what breaks the claim.
