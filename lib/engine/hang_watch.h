@@ -8,13 +8,12 @@
 
 #include <xauto/result.h>
 
-#include "base/thread_safety.h"
-#include "runtime/wiring.h"
-
 #include "account/thread_watch.h"
+#include "base/thread_safety.h"
 #include "engine/run_role.h"
 #include "engine/watchdog.h"
 #include "grid/context.h"
+#include "runtime/wiring.h"
 
 namespace xauto::runtime {
 

@@ -13,15 +13,14 @@
 
 #include <xauto/result.h>
 
+#include "account/ledger.h"
 #include "base/pi_mutex.h"
 #include "graph/inlet.h"
-#include "record/background.h"
-#include "runtime/wiring.h"
-
-#include "account/ledger.h"
 #include "grid/context.h"
 #include "grid/phase.h"
+#include "record/background.h"
 #include "releases/feeds.h"
+#include "runtime/wiring.h"
 #include "tables/table_switch.h"
 
 namespace xauto::runtime {
