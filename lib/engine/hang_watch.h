@@ -36,7 +36,7 @@ class HangWatch {
       : context_(context), wiring_(wiring), role_(role) {}
   [[nodiscard]] Status start(const std::vector<std::vector<Limits>>& limits);
   void look_at_threads(std::int64_t now_ns);
-  void hung(const Worker& worker, const Worker::Hung& job);
+  void hung(const Worker& worker, const JobTimes::Hung& job);
 
   OneThread thread_;
   const Context& context_;

@@ -28,7 +28,7 @@ Result<std::unique_ptr<Releaser>> Releaser::make(const Context& context, Wiring&
   XAUTO_TRY(releaser->open_recorder());
   XAUTO_ASSIGN(releaser->tables_,
                TableSwitch::make(context, ledger, [&wiring](std::int64_t now_ns) {
-                 for (const auto& worker : wiring.workers()) worker->tell_time(now_ns);
+                 for (const auto& worker : wiring.workers()) worker->times().tell_time(now_ns);
                }));
   return releaser;
 }
