@@ -27,6 +27,7 @@
 #define PARKED_LOOK_NS (2 * NS_PER_MS)
 #define PARKED_LATE_NS ((u64)timeout_ms / 2 * NS_PER_MS)
 
+static unsigned long long vtime_now; /* of the fair queue */
 static unsigned long long aged_at; /* when vtime_now was last made to go on */
 
 /*

@@ -52,6 +52,8 @@
  *
  * Who holds a lock that an XNode thread waits for runs with that one's key (lend.bpf.h).
  *
+ * The headers are parts of this file, each with one matter: BPF programs of one object are compiled as one.
+ *
  * Locks: all callbacks of a thread run under its run queue's lock, which therefore protects jobs[].
  * cpu_state[] is written by its own CPU and read by others without a lock, as said at each place.
  */
@@ -92,63 +94,7 @@ char exit_dump[XAUTO_BPF_DUMP] SEC(".data.dump");
 #define NS_PER_US 1000ULL
 #define NS_PER_MS 1000000ULL
 
-/* cpu_state.current, besides a slot's number */
-#define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
-#define CURRENT_KERNEL (-2)
-#define CURRENT_ORDINARY (-3)
-
-/* cpu_state.grant: 0, on the floor's credit, or since it has waited for long */
-#define GRANT_FLOOR 1
-#define GRANT_RESCUE 2
-#define RESCUE_REST 3 /* so long, in turns, the CPU is XNode threads' after a rescue */
-
-/**
- * struct cpu_state - one CPU, written by it alone except @woken
- * @current:   who runs: a slot, or CURRENT_*. Never "nobody, no key" between two threads: whoever
- *             wakes then would kick, and kick again, and the CPU would do nothing else
- * @tid:       the thread that runs, by the kernel's own id; written before @current
- * @offline:   it is about to go, or has gone; written by whoever takes it away
- * @look_at:   when to look for ordinary threads that have waited too long
- * @parked_at: when to look again for parked threads that may go on
- * @kernel_ns: credit of kernel threads
- * @kernel_at: when it was last refilled
- * @credit_ns: of the floor; negative after a turn that a late tick made longer
- * @credit_at: when it was last refilled
- * @began_ns:  when @current began, or was last accounted
- * @began_run: what the kernel had counted for it then. An ordinary thread is charged by that: it has in it
- *             what passes in the kernel before running(), and not what a hypervisor took
- * @grant:     the thread chosen last is to run before XNode threads, GRANT_*; stopping() of its
- *             predecessor comes between that choice and its running()
- * @granted:   the thread that runs does so
- * @woken:     an XNode thread woke up since the last choice: it goes before the floor
- * @rekicked:  running() has kicked since the last dispatch(). The kernel puts some threads (exiting,
- *             unable to migrate) straight back on the local queue without asking us; kicking such a
- *             one again would go on for ever, and it would never get to its end
- */
-struct cpu_state {
-	s64 current;
-	s64 credit_ns;
-	u64 credit_at;
-	u64 began_ns;
-	u64 began_run;
-	u32 grant;
-	u32 granted;
-	u32 woken;
-	u32 rekicked;
-	u32 tid;
-	u32 offline;
-	u64 look_at;
-	u64 parked_at;
-	s64 kernel_ns;
-	u64 kernel_at;
-};
-
-struct {
-	__uint(type, BPF_MAP_TYPE_ARRAY);
-	__uint(max_entries, XAUTO_BPF_MAX_CPUS);
-	__type(key, u32);
-	__type(value, struct cpu_state);
-} cpu_states SEC(".maps");
+#include "cpus.bpf.h"
 
 XAUTO_MAP_HEAD;
 XAUTO_MAP_TABLE;
@@ -162,385 +108,11 @@ XAUTO_MAP_THREADS;
 #include "jobs.bpf.h"
 #include "lend.bpf.h"
 #include "groups.bpf.h"
-
-static unsigned long long vtime_now; /* of the fair queue, see ordinary.bpf.h */
-static unsigned int offline_cpus; /* how many */
-
-static __always_inline bool any_offline(void)
-{
-	return *(volatile unsigned int *)&offline_cpus;
-}
-
-static __always_inline struct cpu_state *state_of(s32 cpu)
-{
-	struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
-
-	if (!c) /* the loader refuses a machine with more CPUs */
-		scx_bpf_error("CPU %d has no state", cpu);
-	return c;
-}
-
-/* ---- run time ------------------------------------------------------------------------------ */
-
-/* Charges the running thread for its time since began_ns, and demotes its job when over budget. */
-static __always_inline void charge(struct cpu_state *c, struct xauto_bpf_job *job,
-				   struct xauto_bpf_slot *slot, u64 now)
-{
-	u64 from = c->began_ns;
-	u64 since = slot->since_ns;
-
-	/* Time before the job's beginning was the previous job's. */
-	if (since > from && since < now)
-		from = since;
-	if (now > from)
-		job->used_ns += now - from;
-	c->began_ns = now;
-	if (job->budget_ns && job->used_ns > job->budget_ns && !(job->flags & XAUTO_BPF_JOB_DEMOTED) &&
-	    !(slot->job & XAUTO_BPF_JOB_ENDED)) {
-		job->flags |= XAUTO_BPF_JOB_DEMOTED;
-		count(XAUTO_BPF_STAT_DEMOTED);
-	}
-}
-
-/* A kernel thread that others may wait for; 100 is the weight of nice 0. */
-static __always_inline bool hurries(const struct task_struct *p)
-{
-	return (p->flags & PF_KTHREAD) && p->scx.weight >= 100;
-}
-
-/* The same of an ordinary thread: of its fair share, its cgroups, and of the floor's credit. */
-static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_struct *p, u64 now)
-{
-	u64 ran = p->se.sum_exec_runtime - c->began_run;
-
-	c->began_ns = now;
-	c->began_run += ran;
-	set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
-	if (c->granted)
-		c->credit_ns -= (s64)ran;
-	if (c->granted == GRANT_RESCUE && c->look_at < now + RESCUE_REST * ran)
-		c->look_at = now + RESCUE_REST * ran;
-	if (p->flags & PF_KTHREAD) {
-		if (hurries(p))
-			c->kernel_ns -= (s64)ran;
-		return false;
-	}
-	return throttled_until(p, ran, now) != 0;
-}
-
-static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
-{
-	u64 slice = xnode_slice_us * NS_PER_US;
-
-	if (job->budget_ns > job->used_ns && job->budget_ns - job->used_ns < slice)
-		slice = job->budget_ns - job->used_ns;
-	return slice;
-}
-
-/* What is lent to it included. `t`: its slot; NULL: it is no XNode's. */
-static __always_inline s64 judge(struct task_struct *p, const struct xnode_thread *t, struct claim *c)
-{
-	c->key = NO_KEY;
-	if (t && key_of(t->job) != NO_KEY) {
-		c->key = t->job->key;
-		c->since_ns = t->job->since_ns;
-		c->slot = (s32)t->at;
-		c->cpu = t->job->cpu;
-	}
-	c->tid = p->pid;
-	borrow((u32)p->pid, c);
-	return c->key;
-}
-
-static __always_inline bool is_offline(s32 cpu)
-{
-	struct cpu_state *c = state_of(cpu);
-
-	return c && *(volatile u32 *)&c->offline;
-}
-
-/* Where a thread with a claim runs; -1: that CPU is forbidden to it or is away, it runs elsewhere. */
-static __always_inline s32 place(struct task_struct *p, const struct claim *c)
-{
-	s32 cpu = (s32)c->cpu;
-
-	if (!bpf_cpumask_test_cpu(c->cpu, p->cpus_ptr) || (any_offline() && is_offline(cpu)))
-		return -1;
-	return cpu;
-}
-
-static __always_inline bool is_near(u32 a, u32 b)
-{
-	return cluster_of[a % XAUTO_BPF_MAX_CPUS] == cluster_of[b % XAUTO_BPF_MAX_CPUS];
-}
-
-/* One that shares a cache with the policy's CPU, if there is such a one. */
-static __always_inline s32 home_of(struct task_struct *p, const struct claim *c)
-{
-	s32 cpu = place(p, c), first = -1;
-	struct bpf_iter_num it;
-	int *i;
-
-	if (cpu >= 0)
-		return cpu;
-	if (!any_offline())
-		return (s32)bpf_cpumask_first(p->cpus_ptr);
-	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
-	while ((i = bpf_iter_num_next(&it))) {
-		bool near = is_near((u32)*i, c->cpu);
-
-		if (*i >= (int)nr_cpus)
-			break;
-		if ((first >= 0 && !near) || !bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) || is_offline(*i))
-			continue;
-		first = *i;
-		if (near)
-			break;
-	}
-	bpf_iter_num_destroy(&it);
-	return first >= 0 ? first : (s32)bpf_cpumask_first(p->cpus_ptr);
-}
-
-/* ---- queues -------------------------------------------------------------------------------- */
-
-/* The queue that the thread waits in; 0: none. */
-static __always_inline u64 queue_of(struct task_struct *p)
-{
-	return BPF_CORE_READ(p, scx.dsq, id);
-}
-
-static __always_inline bool is_ordinary_queue(u64 dsq)
-{
-	return dsq == FAIR_DSQ || dsq == PARKED_DSQ;
-}
-
-/* To be destroyed also when it fails. */
-static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, u64 dsq)
-{
-	if (!bpf_iter_scx_dsq_new(it, dsq, 0))
-		return true;
-	scx_bpf_error("there is no queue %llx", dsq); /* xauto_init() made them */
-	return false;
-}
-
-/*
- * The first by the rule of the CPU's queue: its key, NO_KEY if the queue is empty. That is the head,
- * unless equal keys were queued in another order than they asked, or a thread further back was told
- * another job while it waited: it was queued by the key of the old one, so the present words are what
- * counts. Queues are as long as a CPU has XNode threads.
- */
-__noinline s64 first_queued(s32 cpu, struct claim *first)
-{
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
-
-	if (!first)
-		return NO_KEY;
-	first->key = NO_KEY;
-	if (!iterate(&it, XNODE_DSQ(cpu)))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		struct claim c = { .key = NO_KEY, .slot = -1 };
-		struct xnode_thread t = {};
-
-		if (thread_of(p, &t))
-			claim_of(t.at, &c);
-		borrow((u32)p->pid, &c);
-		if (c.key == NO_KEY)
-			c.key = LAST_KEY; /* it became ordinary here, and has to leave */
-		if (first->key != NO_KEY && !XAUTO_RULE_BEFORE(c, *first))
-			continue;
-		*first = c;
-		first->tid = p->pid;
-	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
-	return first->key;
-}
-
-/*
- * Before that, ordinary threads that were queued before anything was lent to them. Found by who lends: there
- * are few of those, and any user can fill the queues of ordinary threads.
- */
-__noinline s64 first_lent(s32 cpu, struct claim *first)
-{
-	struct xauto_bpf_head *h = bpf_map_lookup_elem(&head, &(u32){ 0 });
-	struct bpf_iter_num it;
-	int *i;
-
-	if (!first)
-		return NO_KEY;
-	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_SLOTS);
-	while ((i = bpf_iter_num_next(&it))) {
-		struct claim c = { .key = NO_KEY, .slot = -1 };
-		struct task_struct *p;
-		u32 who;
-
-		if (!h || *i >= (int)h->slots)
-			break;
-		who = borrower((u32)*i);
-		if (!who)
-			continue;
-		borrow(who, &c);
-		if (c.key == NO_KEY || !XAUTO_RULE_BEFORE(c, *first))
-			continue;
-		p = bpf_task_from_pid((s32)who);
-		if (!p)
-			continue;
-		if (is_ordinary_queue(queue_of(p)) && home_of(p, &c) == cpu) {
-			*first = c;
-			first->tid = (s32)who;
-		}
-		bpf_task_release(p);
-	}
-	bpf_iter_num_destroy(&it);
-	return first->key;
-}
-
-static __always_inline s64 first_of(s32 cpu, struct claim *first)
-{
-	s64 key = first_queued(cpu, first);
-
-	return anybody_lends() ? first_lent(cpu, first) : key;
-}
-
-__noinline s64 key_waiting(s32 cpu)
-{
-	struct claim first = {};
-
-	return first_of(cpu, &first);
-}
-
-/*
- * A key's place in the kernel's queue, which compares modulo 2^64: keys are less than 2^62 apart, so their
- * order is the queue's. All are moved into the past of the fair queue, whose vtime begins at 0: a thread
- * that is no XNode thread any more comes with its last one, and begins there as one that has slept long.
- */
-static __always_inline u64 vtime_of_key(s64 key)
-{
-	return (u64)key - 4 * KEY_LIMIT;
-}
-
-/* Somebody with that claim waits for the CPU. */
-static __always_inline void ask_for(s32 cpu, const struct claim *mine)
-{
-	struct claim running = { .key = NO_KEY };
-	struct cpu_state *c = state_of(cpu);
-	s64 current;
-
-	if (!c)
-		return;
-	current = *(volatile s64 *)&c->current;
-	if (current == CURRENT_SWITCHING) {
-		/* Wakes it if it is idle. If it is not, running() or tick() will look at the queue. */
-		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
-		return;
-	}
-	if (current == CURRENT_KERNEL)
-		return; /* it is short, and dispatch() follows it */
-	if (current >= 0) {
-		struct xnode_thread t = {};
-
-		/* Its worker looks at `waiting` after storing a new job, we at the job after storing
-		 * `waiting`: one of the two sees the other. The exchange is the barrier between.
-		 */
-		if (thread_at((u32)current, &t))
-			__sync_lock_test_and_set(&t.slot->waiting, 1);
-		claim_of((u32)current, &running);
-	}
-	borrow(c->tid, &running);
-	if (!XAUTO_RULE_TAKES(*mine, running))
-		return;
-	count(XAUTO_BPF_STAT_KICKED);
-	scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
-}
-
-/* By its claim. `job`: NULL if it is no XNode's thread and runs by what is lent to it. */
-static __always_inline void enqueue_claim(struct task_struct *p, const struct claim *mine,
-					  struct xauto_bpf_job *job, u64 enq_flags)
-{
-	s32 cpu = place(p, mine);
-	struct cpu_state *c;
-
-	if (cpu < 0) {
-		cpu = home_of(p, mine);
-		count(XAUTO_BPF_STAT_MISPLACED);
-	}
-	if (job)
-		job->queued_ns = bpf_ktime_get_ns();
-	insert_vtime(p, XNODE_DSQ(cpu), job ? slice_of(job) : xnode_slice_us * NS_PER_US,
-		     vtime_of_key(mine->key), enq_flags);
-	count(XAUTO_BPF_STAT_QUEUED);
-	c = state_of(cpu);
-	if (c && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
-		c->woken = 1;
-	ask_for(cpu, mine);
-}
-
-/* Of another thread, which holds what an XNode thread has just gone to sleep for. */
-static __always_inline void hurry(u32 pid, s32 here)
-{
-	struct claim c = { .key = NO_KEY };
-	struct task_struct *p;
-	struct cpu_state *there;
-	struct xnode_thread t = {};
-	s32 cpu;
-
-	p = bpf_task_from_pid((s32)pid);
-	if (!p)
-		return;
-	if (thread_of(p, &t))
-		claim_of(t.at, &c);
-	borrow(pid, &c);
-	cpu = home_of(p, &c);
-	there = state_of(cpu);
-	/* Here dispatch() follows. Where it runs, it goes on. */
-	if (c.key != NO_KEY && cpu != here && there && there->tid != pid) {
-		there->woken = 1;
-		ask_for(cpu, &c);
-	}
-	bpf_task_release(p);
-}
-
+#include "times.bpf.h"
+#include "places.bpf.h"
+#include "queues.bpf.h"
 #include "ordinary.bpf.h"
-
-/* By several CPUs at once a little of the refill is lost or given twice: let's live with it. */
-static __always_inline bool kernel_is_over(struct cpu_state *c)
-{
-	s64 most = (s64)(kernel_burst_us * NS_PER_US);
-	u64 now = bpf_ktime_get_ns();
-
-	if (now > c->kernel_at)
-		c->kernel_ns += (s64)((now - c->kernel_at) * kernel_permille / 1000);
-	c->kernel_at = now;
-	if (c->kernel_ns > most)
-		c->kernel_ns = most;
-	if (c->kernel_ns < -most) /* from when no XNode wanted the CPU */
-		c->kernel_ns = -most;
-	return c->kernel_ns < 0;
-}
-
-static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
-{
-	u64 slice = SCX_VALUE(scx_public_consts, SCX_SLICE_DFL);
-	s32 cpu = scx_bpf_task_cpu(p);
-	struct cpu_state *c = state_of(cpu);
-
-	if (c && (c->current >= 0 || scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)) > 0)) {
-		if (kernel_is_over(c)) {
-			enqueue_ordinary(p, enq_flags);
-			return;
-		}
-		slice = grant_us * NS_PER_US; /* then it is asked for its credit again */
-	}
-	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
-	 * alternates with everybody else at the end of its slices.
-	 */
-	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
-		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
-			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
-	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
-}
+#include "dispatch.bpf.h"
 
 /* ---- callbacks, in the order in which a thread meets them --------------------------------- */
 
@@ -567,6 +139,28 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 	return cpu;
 }
 
+static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
+{
+	u64 slice = SCX_VALUE(scx_public_consts, SCX_SLICE_DFL);
+	s32 cpu = scx_bpf_task_cpu(p);
+	struct cpu_state *c = state_of(cpu);
+
+	if (c && (c->current >= 0 || scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)) > 0)) {
+		if (kernel_is_over(c)) {
+			enqueue_ordinary(p, enq_flags);
+			return;
+		}
+		slice = grant_us * NS_PER_US; /* then it is asked for its credit again */
+	}
+	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
+	 * alternates with everybody else at the end of its slices.
+	 */
+	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
+		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
+			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
+	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
+}
+
 SEC("struct_ops/xauto_enqueue")
 void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 {
@@ -591,82 +185,6 @@ void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 		enqueue_kernel_thread(p, enq_flags);
 	else
 		enqueue_ordinary(p, enq_flags);
-}
-
-/* An XNode thread of the queue that has waited for age_ms gets a turn: true if there is one. */
-__noinline int dispatch_aged(s32 cpu)
-{
-	u64 oldest = bpf_ktime_get_ns() - age_ms * 1000 * NS_PER_US;
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
-	bool moved = false;
-
-	if (!iterate(&it, XNODE_DSQ(cpu)))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		struct xnode_thread t = {};
-
-		/* Who has no slot was lent a key, or has left: the floor is for such a one. */
-		if (thread_of(p, &t) && (!t.job->queued_ns || t.job->queued_ns > oldest))
-			continue;
-		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
-		if (moved)
-			break;
-	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
-	return moved;
-}
-
-/* Nothing is looked for: the kernel sees whether it is still in that queue. */
-__noinline int dispatch_thread(s32 cpu, s32 who)
-{
-	struct task_struct *p = bpf_task_from_pid(who);
-	struct bpf_iter_scx_dsq it;
-	bool moved = false;
-	u64 dsq;
-
-	if (!p)
-		return false;
-	dsq = queue_of(p);
-	if (dsq == XNODE_DSQ(cpu) || is_ordinary_queue(dsq)) {
-		if (iterate(&it, dsq))
-			moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
-		bpf_iter_scx_dsq_destroy(&it);
-	}
-	bpf_task_release(p);
-	return moved;
-}
-
-/* What was put into the queue of a CPU that had just gone: true if there is one. */
-__noinline int dispatch_stranded(s32 here)
-{
-	struct bpf_iter_num it;
-	bool moved = false;
-	int *i;
-
-	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
-	while ((i = bpf_iter_num_next(&it))) {
-		if (*i >= (int)nr_cpus)
-			break;
-		if (*i == here || !is_offline(*i) || scx_bpf_dsq_nr_queued(XNODE_DSQ(*i)) <= 0)
-			continue;
-		moved = move_to_local(XNODE_DSQ(*i));
-		if (moved)
-			break;
-	}
-	bpf_iter_num_destroy(&it);
-	return moved;
-}
-
-static __always_inline void refill(struct cpu_state *c, u64 now)
-{
-	s64 most = (s64)(floor_burst_us * NS_PER_US);
-
-	c->credit_ns += (s64)((now - c->credit_at) * floor_permille / 1000);
-	if (c->credit_ns > most)
-		c->credit_ns = most;
-	c->credit_at = now;
 }
 
 /*
@@ -901,75 +419,8 @@ int BPF_PROG(xauto_exited, struct task_struct *p)
 	return 0;
 }
 
-/* Hands what waits for the CPU to the kernel. `all`: not only what may run nowhere else. */
-static __always_inline void hand_over(u64 dsq, s32 cpu, bool all)
-{
-	struct bpf_iter_scx_dsq it;
-	struct task_struct *p;
-
-	if (!iterate(&it, dsq))
-		goto out;
-	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		if (bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr) && (all || p->nr_cpus_allowed == 1))
-			move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL_ON) | (u32)cpu);
-	}
-out:
-	bpf_iter_scx_dsq_destroy(&it);
-}
-
-SEC("struct_ops/xauto_cpu_offline")
-void BPF_PROG(xauto_cpu_offline, s32 cpu)
-{
-	struct cpu_state *c = state_of(cpu);
-
-	if (!c || __sync_lock_test_and_set(&c->offline, 1))
-		return;
-	__sync_fetch_and_add(&offline_cpus, 1);
-	hand_over(XNODE_DSQ(cpu), cpu, true);
-	hand_over(FAIR_DSQ, cpu, false);
-	hand_over(PARKED_DSQ, cpu, false);
-}
-
-SEC("struct_ops/xauto_cpu_online")
-void BPF_PROG(xauto_cpu_online, s32 cpu)
-{
-	struct cpu_state *c = state_of(cpu);
-
-	if (c && __sync_lock_test_and_set(&c->offline, 0))
-		__sync_fetch_and_add(&offline_cpus, -1);
-}
-
-/* What the kernel's own dump of an error does not know. */
-SEC("struct_ops/xauto_dump")
-void BPF_PROG(xauto_dump, struct scx_dump_ctx *dump)
-{
-	scx_bpf_dump("xauto: mode %llu, %llu ordinary, %llu parked, %llu lend\n", mode,
-		     (u64)scx_bpf_dsq_nr_queued(FAIR_DSQ), (u64)scx_bpf_dsq_nr_queued(PARKED_DSQ), lending);
-}
-
-SEC("struct_ops/xauto_dump_cpu")
-void BPF_PROG(xauto_dump_cpu, struct scx_dump_ctx *dump, s32 cpu, bool idle)
-{
-	struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
-
-	if (c && !idle)
-		scx_bpf_dump("xauto: current %lld, %llu wait by key, credit %lld ns, offline %llu\n", c->current,
-			     (u64)scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)), c->credit_ns, c->offline);
-}
-
-SEC("struct_ops/xauto_dump_task")
-void BPF_PROG(xauto_dump_task, struct scx_dump_ctx *dump, struct task_struct *p)
-{
-	struct claim c = { .key = NO_KEY };
-	struct xnode_thread t = {};
-
-	if (thread_of(p, &t))
-		scx_bpf_dump("xauto: slot %llu, XNode %lld, key %lld, ran %llu ns\n", t.at,
-			     (s64)(t.job->job >> XAUTO_BPF_JOB_SHIFT) - 1, t.job->key, t.job->used_ns);
-	borrow((u32)p->pid, &c);
-	if (c.key != NO_KEY)
-		scx_bpf_dump("xauto: runs by key %lld of slot %lld, lent\n", c.key, c.slot);
-}
+#include "hotplug.bpf.h"
+#include "dump.bpf.h"
 
 SEC("struct_ops.s/xauto_init")
 s32 BPF_PROG(xauto_init)

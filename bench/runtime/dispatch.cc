@@ -17,10 +17,10 @@
 #include "base/futex.h"
 #include "base/socket.h"
 #include "coord/server.h"
+#include "engine/engine.h"
 #include "launch/supervisor.h"
 
 #include "bench.h"
-#include "engine/engine.h"
 #include "peers.h"
 
 #ifdef XAUTO_BENCH_TBB

@@ -11,13 +11,12 @@
 #include <optional>
 #include <vector>
 
+#include "account/routes.h"
 #include "base/pi_mutex.h"
+#include "grid/context.h"
 #include "processes/role.h"
 #include "session/limits.h"
 #include "session/run_report.h"
-
-#include "account/routes.h"
-#include "grid/context.h"
 
 namespace xauto::runtime {
 

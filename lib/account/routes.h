@@ -20,10 +20,9 @@
 
 #include "base/pi_mutex.h"
 #include "graph/graph.h"
+#include "grid/grid.h"
 #include "model/deployment.h"
 #include "session/account.h"
-
-#include "grid/grid.h"
 
 namespace xauto::runtime {
 

@@ -18,7 +18,7 @@
 
 namespace xauto::runtime {
 
-/// Threads: one at a time. Of threads whose work is an XNode's on a core others know more (Worker::tell_waited).
+/// Threads: one at a time. Of threads whose work is an XNode's on a core others know more (JobTimes).
 class ThreadWatch {
  public:
   /// All threads there are belong to the run, as do those that the runtime names "xauto/..." later.

@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "base/pi_mutex.h"
-
 #include "engine/engine.h"
 
 namespace xauto::app {

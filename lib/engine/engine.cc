@@ -6,13 +6,12 @@
 #include <fmt/format.h>
 #include <uapi/xauto/event.h>
 
+#include "account/routes.h"
 #include "base/log.h"
 #include "processes/board_account.h"
 #include "processes/mode.h"
 #include "processes/parameters.h"
 #include "session/notes.h"
-
-#include "account/routes.h"
 
 namespace xauto::runtime {
 namespace {

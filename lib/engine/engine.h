@@ -10,21 +10,20 @@
 
 #include <xauto/result.h>
 
+#include "account/ledger.h"
 #include "base/thread_safety.h"
+#include "engine/hang_watch.h"
+#include "engine/run_role.h"
 #include "graph/app_spec.h"
 #include "graph/graph.h"
+#include "grid/context.h"
 #include "processes/plan.h"
+#include "releases/releaser.h"
 #include "runtime/placing.h"
 #include "runtime/wiring.h"
 #include "session/run_report.h"
 #include "session/session.h"
 #include "trace/trace.h"
-
-#include "account/ledger.h"
-#include "engine/hang_watch.h"
-#include "engine/run_role.h"
-#include "grid/context.h"
-#include "releases/releaser.h"
 
 namespace xauto::runtime {
 

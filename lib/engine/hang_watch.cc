@@ -54,7 +54,7 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
   if (certified) {
     std::vector<pid_t> on_cores;
     for (const auto& worker : wiring_.workers())
-      if (worker->on_core()) on_cores.push_back(worker->thread_id());
+      if (worker->on_core()) on_cores.push_back(worker->times().thread_id());
     threads_ = std::make_unique<ThreadWatch>(std::move(on_cores));
   }
   std::int64_t period =
@@ -64,9 +64,10 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
                  if (threads_ && asleep_since_ns_ > 0)
                    threads_->woke(now - asleep_since_ns_, period);
                  for (const auto& worker : wiring_.workers()) {
-                   if (const auto job = worker->find_hung(now)) hung(*worker, *job);
-                   if (tells) worker->tell_time(now);
-                   if (claims) worker->tell_past_wcet(now);
+                   JobTimes& times = worker->times();
+                   if (const auto job = times.find_hung(now)) hung(*worker, *job);
+                   if (tells) times.tell_time(now);
+                   if (claims) times.tell_past_wcet(now);
                    if (claims) worker->tell_stuck_call(now);
                  }
                  look_at_threads(now);
@@ -103,7 +104,7 @@ const std::string& HangWatch::note() const {
   return note_;
 }
 
-void HangWatch::hung(const Worker& worker, const Worker::Hung& job) {
+void HangWatch::hung(const Worker& worker, const JobTimes::Hung& job) {
   const std::string text = "XNode '" + job.placed->name + "' on " + worker.xpu_name() +
                            " ran past its hang limit of " +
                            std::to_string(job.placed->limits.hang_ns / 1'000'000) +
@@ -111,17 +112,18 @@ void HangWatch::hung(const Worker& worker, const Worker::Hung& job) {
   const bool first = job.placed->line->hangs.load(std::memory_order_relaxed) == 1;
   if (first) add_note(note_, text);
   if (context_.trace != nullptr)
-    context_.trace->write(
-        XAUTO_EV_HANG, job.sequence, static_cast<std::uint16_t>(job.placed->xnode),
-        static_cast<std::uint16_t>(job.module), static_cast<std::uint16_t>(worker.options().xpu),
-        static_cast<std::uint32_t>(
-            std::min<std::int64_t>(UINT32_MAX, job.placed->limits.hang_ns / 1'000'000)));
+    context_.trace->write(XAUTO_EV_HANG, job.sequence,
+                          static_cast<std::uint16_t>(job.placed->xnode),
+                          static_cast<std::uint16_t>(worker.module()),
+                          static_cast<std::uint16_t>(worker.options().xpu),
+                          static_cast<std::uint32_t>(std::min<std::int64_t>(
+                              UINT32_MAX, job.placed->limits.hang_ns / 1'000'000)));
   switch (job.placed->limits.on_hang) {
     case OnHang::kLog:
       if (first) log::warn("{} (further ones are only counted)", text);
       break;
     case OnHang::kDrop:
-      if (wiring_.module(static_cast<std::size_t>(job.module))->abandon(job.sequence) && first)
+      if (wiring_.module(static_cast<std::size_t>(worker.module()))->abandon(job.sequence) && first)
         log::warn("{}: given up (further ones are only counted)", text);
       break;
     case OnHang::kRestart:

@@ -8,13 +8,12 @@
 
 #include <xauto/result.h>
 
-#include "base/thread_safety.h"
-#include "runtime/wiring.h"
-
 #include "account/thread_watch.h"
+#include "base/thread_safety.h"
 #include "engine/run_role.h"
 #include "engine/watchdog.h"
 #include "grid/context.h"
+#include "runtime/wiring.h"
 
 namespace xauto::runtime {
 
@@ -37,7 +36,7 @@ class HangWatch {
       : context_(context), wiring_(wiring), role_(role) {}
   [[nodiscard]] Status start(const std::vector<std::vector<Limits>>& limits);
   void look_at_threads(std::int64_t now_ns);
-  void hung(const Worker& worker, const Worker::Hung& job);
+  void hung(const Worker& worker, const JobTimes::Hung& job);
 
   OneThread thread_;
   const Context& context_;

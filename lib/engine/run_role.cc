@@ -11,16 +11,15 @@
 #include <fcntl.h>
 #include <uapi/xauto/event.h>
 
+#include "account/ledger.h"
 #include "base/check.h"
 #include "base/log.h"
+#include "grid/context.h"
 #include "processes/hub.h"
 #include "processes/member.h"
 #include "processes/stand_in.h"
 #include "runtime/wiring.h"
 #include "session/notes.h"
-
-#include "account/ledger.h"
-#include "grid/context.h"
 
 namespace xauto::runtime {
 namespace {

@@ -6,12 +6,11 @@
 
 #include "graph/app_spec.h"
 #include "graph/graph.h"
+#include "grid/grid.h"
 #include "processes/board.h"
 #include "processes/plan.h"
 #include "session/session.h"
 #include "trace/trace.h"
-
-#include "grid/grid.h"
 
 namespace xauto::runtime {
 

@@ -14,10 +14,52 @@ Error refused(std::string what, std::string where, std::string hint) {
   return {ErrorCode::kInvalid, std::move(what), std::move(where), std::move(hint)};
 }
 
+/// [module][source] whether it hears of it, directly or through others.
+using Heard = std::vector<std::vector<char>>;
+
+Heard heard_in(const Graph& graph) {
+  Heard heard(graph.modules.size(), std::vector<char>(graph.sources.size(), 0));
+  for (const int m : graph.module_order) {
+    std::vector<char>& here = heard[static_cast<std::size_t>(m)];
+    for (const int t : graph.modules[static_cast<std::size_t>(m)].inputs) {
+      const Graph::Topic& topic = graph.topics[static_cast<std::size_t>(t)];
+      if (topic.source >= 0) {
+        here[static_cast<std::size_t>(topic.source)] = 1;
+        continue;
+      }
+      const std::vector<char>& of = heard[static_cast<std::size_t>(topic.module)];
+      for (std::size_t s = 0; s < of.size(); ++s) here[s] |= of[s];
+    }
+  }
+  return heard;
+}
+
+/// How many activations of `module` may wait.
+std::uint32_t depth_of(const Graph& graph, const Session& session, const Graph::Module& module,
+                       const Component& component) {
+  // A job that comes early waits no longer than until its own key.
+  std::int64_t last_us = 0;
+  for (std::size_t t = 0; session.keys && t < session.num_tables(); ++t)
+    for (const int n : module.nodes) {
+      const int x = session.app.find(graph.nodes[static_cast<std::size_t>(n)].name);
+      for (const std::int64_t key :
+           session.keys_of(t).placements[static_cast<std::size_t>(x)].key_us)
+        last_us = std::max(last_us, key);
+    }
+  // Some may be late while one table takes the place of another.
+  if (session.tables)
+    for (const Handover& handover : session.tables->handovers)
+      for (const auto& us : handover.worst_case_us)
+        if (us && last_us > 0) last_us = std::max(last_us, *us);
+  const std::int64_t releases = last_us / std::max<std::int64_t>(1, component.period.floor_us());
+  return static_cast<std::uint32_t>(
+      std::clamp<std::int64_t>(releases + 2, kLeastDepth, kMostDepth));
+}
+
 /// A module that hears a source beside other modules waits for both; app.json knows of the modules
 /// alone. That is the same as long as the source cannot be the last.
 Status check_joins(const Graph& graph, const Session& session, const Grid& grid,
-                   const std::vector<std::vector<char>>& heard) {
+                   const Heard& heard) {
   for (std::size_t m = 0; m < graph.modules.size(); ++m) {
     const Graph::Module& module = graph.modules[m];
     const auto from_module = [&](int t) {
@@ -72,7 +114,7 @@ Status Grid::take_in_flight(const Graph& graph, const AppSpec& app) {
   return {};
 }
 
-Result<Grid> Grid::make(const Graph& graph, const Session& session) {
+Grid Grid::of_program(const Graph& graph, const Session& session) {
   Grid grid;
   grid.periodic = session.mode == Mode::kRun && !session.app.sources.empty();
   for (const Graph::Module& module : graph.modules) {
@@ -85,84 +127,72 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   for (const SourceSpec& source : graph.sources)
     grid.sources.push_back({session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0,
                             0, static_cast<std::uint32_t>(grid.sources.size())});
-  if (!grid.periodic) return grid;
+  return grid;
+}
 
-  const AppSpec& app = session.app;
-  const std::string where = "app '" + app.name + "'";
-  grid.one_at_a_time = app.one_at_a_time;
+Status Grid::take_sources(const Graph& graph, const AppSpec& app) {
   Period longest;
-  for (const Source& source : grid.sources) longest = std::max(longest, source.period);
-  if (session.period_us > 0 && !app.one_at_a_time)
-    return tl::unexpected<Error>(
-        refused("would change what the policy was made for", "--period-us",
-                "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
-  XAUTO_TRY(grid.take_in_flight(graph, app));
-  grid.clock_ppm.clear();
-  for (const ClockSpec& clock : app.clocks) grid.clock_ppm.push_back(clock.ppm);
-  std::vector<int> spec_of(graph.sources.size(), -1);
+  for (const Source& source : sources) longest = std::max(longest, source.period);
+  clock_ppm.clear();
+  for (const ClockSpec& clock : app.clocks) clock_ppm.push_back(clock.ppm);
   for (std::size_t s = 0; s < graph.sources.size(); ++s) {
-    for (std::size_t i = 0; i < app.sources.size(); ++i)
-      if (app.sources[i].name == graph.sources[s].name) spec_of[s] = static_cast<int>(i);
-    if (spec_of[s] < 0)
-      return tl::unexpected<Error>(
-          refused("app.json has no source '" + graph.sources[s].name + "'", where,
-                  "app.json describes another version of this program: profile it again"));
-    const SourceSpec& spec = app.sources[static_cast<std::size_t>(spec_of[s])];
-    grid.sources[s] = {app.one_at_a_time ? longest : spec.period, spec.offset_us * 1000,
-                       spec.jitter_us * 1000, static_cast<std::size_t>(spec.clock),
-                       static_cast<std::uint32_t>(spec_of[s])};
+    const auto named = std::ranges::find(app.sources, graph.sources[s].name, &SourceSpec::name);
+    if (named == app.sources.end())
+      return tl::unexpected<Error>(refused(
+          "app.json has no source '" + graph.sources[s].name + "'", "app '" + app.name + "'",
+          "app.json describes another version of this program: profile it again"));
+    const SourceSpec& spec = *named;
+    sources[s] = {app.one_at_a_time ? longest : spec.period, spec.offset_us * 1000,
+                  spec.jitter_us * 1000, static_cast<std::size_t>(spec.clock),
+                  static_cast<std::uint32_t>(named - app.sources.begin())};
     if (spec.urgent) {
       // Releases are on the grid: so are the distances of those that are urgent.
       const std::int64_t apart = spec.urgent->every_us * spec.period.den + spec.period.num - 1;
-      grid.sources[s].urgent_apart = static_cast<std::uint64_t>(apart / spec.period.num);
+      sources[s].urgent_apart = static_cast<std::uint64_t>(apart / spec.period.num);
     }
   }
+  return {};
+}
+
+Status Grid::take_modules(const Graph& graph, const Session& session) {
+  const AppSpec& app = session.app;
   XAUTO_ASSIGN(const Components components, find_components(app));
-  std::vector<std::vector<char>> heard(graph.modules.size(),
-                                       std::vector<char>(graph.sources.size(), 0));
-  for (const int m : graph.module_order) {
-    const auto index = static_cast<std::size_t>(m);
-    const Graph::Module& module = graph.modules[index];
+  const Heard heard = heard_in(graph);
+  for (std::size_t m = 0; m < graph.modules.size(); ++m) {
+    const Graph::Module& module = graph.modules[m];
     const int xnode = app.find(graph.nodes[static_cast<std::size_t>(module.nodes.front())].name);
     const Component& component =
         components
             .components[static_cast<std::size_t>(components.of[static_cast<std::size_t>(xnode)])];
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
-      const Graph::Topic& topic = graph.topics[static_cast<std::size_t>(module.inputs[i])];
-      if (topic.source >= 0) {
-        const auto s = static_cast<std::size_t>(topic.source);
-        heard[index][s] = 1;
-        grid.sources[s].shift_ns = grid.sources[s].offset_ns - component.offset_us * 1000;
-        grid.shift_ns[index][i] = grid.sources[s].shift_ns;
-      } else {
-        const std::vector<char>& of = heard[static_cast<std::size_t>(topic.module)];
-        for (std::size_t s = 0; s < of.size(); ++s) heard[index][s] |= of[s];
-      }
+      const int source = graph.topics[static_cast<std::size_t>(module.inputs[i])].source;
+      if (source < 0) continue;
+      Source& of = sources[static_cast<std::size_t>(source)];
+      of.shift_ns = of.offset_ns - component.offset_us * 1000;
+      shift_ns[m][i] = of.shift_ns;
     }
     for (std::size_t s = 0; s < graph.sources.size(); ++s) {
-      if (heard[index][s] == 0 || grid.sources[s].urgent_apart == 0) continue;
-      grid.urgent_source[index] = static_cast<int>(s);
-      grid.urgent_by_us[index] = app.sources[static_cast<std::size_t>(spec_of[s])].urgent->by_us;
+      if (heard[m][s] == 0 || sources[s].urgent_apart == 0) continue;
+      urgent_source[m] = static_cast<int>(s);
+      urgent_by_us[m] = app.sources[sources[s].number].urgent->by_us;
     }
-    // A job that comes early waits no longer than until its own key.
-    std::int64_t last_us = 0;
-    for (std::size_t t = 0; session.keys && t < session.num_tables(); ++t)
-      for (const int n : module.nodes) {
-        const int x = app.find(graph.nodes[static_cast<std::size_t>(n)].name);
-        for (const std::int64_t key :
-             session.keys_of(t).placements[static_cast<std::size_t>(x)].key_us)
-          last_us = std::max(last_us, key);
-      }
-    // Some may be late while one table takes the place of another.
-    if (session.tables)
-      for (const Handover& handover : session.tables->handovers)
-        for (const auto& us : handover.worst_case_us)
-          if (us && last_us > 0) last_us = std::max(last_us, *us);
-    const std::int64_t releases = last_us / std::max<std::int64_t>(1, component.period.floor_us());
-    grid.depth[index] =
-        static_cast<std::uint32_t>(std::clamp<std::int64_t>(releases + 2, kLeastDepth, kMostDepth));
+    depth[m] = depth_of(graph, session, module, component);
   }
-  XAUTO_TRY(check_joins(graph, session, grid, heard));
+  return check_joins(graph, session, *this, heard);
+}
+
+Result<Grid> Grid::make(const Graph& graph, const Session& session) {
+  Grid grid = of_program(graph, session);
+  if (!grid.periodic) return grid;
+  const AppSpec& app = session.app;
+  grid.one_at_a_time = app.one_at_a_time;
+  if (session.period_us > 0 && !app.one_at_a_time)
+    return tl::unexpected<Error>(
+        refused("would change what the policy was made for", "--period-us",
+                "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
+  XAUTO_TRY(grid.take_in_flight(graph, app));
+  XAUTO_TRY(grid.take_sources(graph, app));
+  XAUTO_TRY(grid.take_modules(graph, session));
   return grid;
 }
 

@@ -57,7 +57,10 @@ struct Grid {
   [[nodiscard]] static Result<Grid> make(const Graph& graph, const Session& session);
 
  private:
+  [[nodiscard]] static Grid of_program(const Graph& graph, const Session& session);
   [[nodiscard]] Status take_in_flight(const Graph& graph, const AppSpec& app);
+  [[nodiscard]] Status take_sources(const Graph& graph, const AppSpec& app);
+  [[nodiscard]] Status take_modules(const Graph& graph, const Session& session);
 };
 
 }  // namespace xauto::runtime

@@ -18,7 +18,6 @@
 #include <optional>
 
 #include "base/thread_safety.h"
-
 #include "grid/grid.h"
 
 namespace xauto::runtime {

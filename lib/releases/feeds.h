@@ -20,9 +20,8 @@
 #include <xauto/result.h>
 
 #include "graph/inlet.h"
-#include "processes/interop.h"
-
 #include "grid/grid.h"
+#include "processes/interop.h"
 
 namespace xauto::runtime {
 

@@ -25,10 +25,11 @@ constexpr std::int64_t kForeverNs = INT64_MAX / 4;
 Result<std::unique_ptr<Releaser>> Releaser::make(const Context& context, Wiring& wiring,
                                                  Ledger& ledger, const std::atomic<bool>& stop) {
   auto releaser = std::unique_ptr<Releaser>(new Releaser(context, wiring, ledger, stop));
-  XAUTO_TRY(releaser->open_recorder());
+  XAUTO_ASSIGN(releaser->recorder_, RunRecorder::open(context, wiring));
+  if (releaser->recorder_) releaser->notes_ = releaser->recorder_->notes();
   XAUTO_ASSIGN(releaser->tables_,
                TableSwitch::make(context, ledger, [&wiring](std::int64_t now_ns) {
-                 for (const auto& worker : wiring.workers()) worker->tell_time(now_ns);
+                 for (const auto& worker : wiring.workers()) worker->times().tell_time(now_ns);
                }));
   return releaser;
 }
@@ -64,12 +65,7 @@ Status Releaser::run_here(int fifo) {
                                              : release_periodic();
   feeds_.reset();
   for (std::string& note : inlets_->close()) notes_.push_back(std::move(note));
-  for (std::size_t s = 0; s < seen_.size(); ++s)
-    if (seen_[s].unheard > 0)
-      notes_.push_back(
-          fmt::format("source '{}' marked {} releases urgent, which nothing certifies "
-                      "in this run: they were ordinary ones",
-                      context_.graph.sources[s].name, seen_[s].unheard));
+  for (std::string& note : account_.notes()) notes_.push_back(std::move(note));
   inlets_.reset();
   const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
   return status ? stopped : status;
@@ -143,8 +139,7 @@ void Releaser::open_for_urgent() {
 }
 
 /// What the program says of a message that it has not pushed itself.
-Result<bool> Releaser::marked(Seen& seen, std::size_t source, const void* message,
-                              std::uint64_t number) const {
+Result<bool> Releaser::marked(std::size_t source, const void* message, std::uint64_t number) {
   const detail::SourceSpec& spec = context_.app.sources[source];
   if (!spec.urgent || message == nullptr || context_.session.lockstep ||
       context_.session.mode != Mode::kRun)
@@ -157,20 +152,8 @@ Result<bool> Releaser::marked(Seen& seen, std::size_t source, const void* messag
                 "what marks urgent messages of topic '" + spec.topic.name + "'");
   }
   if (!says || certifies_urgent(source)) return says;
-  ++seen.unheard;
+  account_.unheard(source);
   return false;
-}
-
-/// Two of them are so many releases apart: what is nearer is an ordinary one. By numbers, and not by
-/// the time of the push, since it is the nominal releases that the certificate counts with.
-bool Releaser::urgent(Seen& seen, std::size_t source, std::uint64_t number) {
-  if (seen.last_urgent && number - *seen.last_urgent < context_.grid.sources[source].urgent_apart) {
-    ++seen.too_soon;
-    context_.board.count_late(0);
-    return false;
-  }
-  seen.last_urgent = number;
-  return true;
 }
 
 /// Releases what is pushed until then; `once`: one message at most. False: the run is over.
@@ -240,11 +223,8 @@ std::int64_t Releaser::next_overdue_ns() const {
 
 /// What did not come is lost, and known to be: nobody waits for it.
 void Releaser::leave_out(int topic, std::uint64_t number, std::int64_t at_ns) {
-  Seen& seen = seen_[static_cast<std::size_t>(
-      context_.graph.topics[static_cast<std::size_t>(topic)].source)];
-  ++seen.left_out;
-  ++seen.of;
-  context_.board.count_late(0);
+  account_.left_out(
+      static_cast<std::size_t>(context_.graph.topics[static_cast<std::size_t>(topic)].source));
   release(at_ns, {{topic, number, nullptr, 0}});
 }
 
@@ -261,15 +241,9 @@ Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& 
     leave_out(topic, next, pushed.at_ns);
     if (counted_all(topic)) return false;
   }
-  Seen& seen = seen_[source];
-  seen.off += found->off_ns > 0 ? 1 : 0;
-  seen.early += found->early ? 1 : 0;
-  if (seen.came++ == 0) seen.first_ns = pushed.at_ns;
-  seen.last_ns = pushed.at_ns;
-  if (found->off_ns > 0) context_.board.count_late(found->off_ns, found->early);
-  seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
-  XAUTO_ASSIGN(const bool fed, marked(seen, source, pushed.message.get(), found->number));
-  const bool is_urgent = (pushed.urgent || fed) && urgent(seen, source, found->number);
+  account_.came(source, pushed.at_ns, found->off_ns, found->early);
+  XAUTO_ASSIGN(const bool fed, marked(source, pushed.message.get(), found->number));
+  const bool is_urgent = (pushed.urgent || fed) && account_.urgent(source, found->number);
   release(pushed.at_ns, {{topic, found->number, pushed.message, found->nominal_ns, is_urgent}});
   return !counted_all(topic);
 }
@@ -277,23 +251,6 @@ Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& 
 bool Releaser::wait_drained() {
   return ledger_.wait_drained(
       [this] { return wiring_.receiver() == nullptr || wiring_.receiver()->idle(); });
-}
-
-std::string Releaser::close(const std::vector<ReleaseRecord>& releases) {
-  records_.store(false);
-  if (recorder_) {
-    // At the end, where nobody waits for it.
-    for (const ReleaseRecord& release : releases) {
-      const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
-      const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
-      recorder_->write(releases_topic_, end_ns,
-                       record::encode_release(stamp_ns, release.sequence, release.latency_us));
-    }
-  }
-  const Status closed = recorder_ ? recorder_->close() : Status();
-  const Guard lock(recording_mutex_);
-  if (!closed && recording_error_.empty()) recording_error_ = closed.error().what;
-  return recording_error_;
 }
 
 /// How long to release, from the first release on. A count is of the slowest source's releases, so
@@ -318,22 +275,30 @@ Result<std::shared_ptr<const void>> Releaser::make_message(std::size_t source, s
     return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                 "the source of topic '" + spec.topic.name + "'");
   }
-  seen_[source].made_late_ns = std::max(seen_[source].made_late_ns, now_ns() - since_ns);
+  account_.made(source, now_ns() - since_ns);
   return message;
 }
 
 /// Every source at its period, on one absolute time grid, so that sources of equal period release
 /// at the same instants and nothing drifts. Beside what is pushed on the same clock: on its grid,
 /// which nobody knows before the first message.
-Status Releaser::release_periodic() {
+struct Releaser::Periodic {
   struct Source {
     int topic;
     const Grid::Source* grid;
     std::uint64_t sequence = 0;
-    std::int64_t due_ns = 0;  ///< of its next release, after `start`
+    std::int64_t due_ns = 0;  ///< of its next release, after `start`; kForeverNs: not known yet
   };
-  std::vector<Source> sources;
-  std::vector<Sample> samples, fed;  // of one release; here, so that their memory stays
+  std::vector<Source> sources = {};
+  std::int64_t start = 0;      ///< of the grid
+  std::int64_t length_ns = 0;  ///< for how long it releases
+  std::int64_t next_ns = 0;    ///< the next release of all, after `start`
+  std::vector<Sample> samples = {},
+                      fed = {};  ///< of that release; here, so that their memory stays
+};
+
+Releaser::Periodic Releaser::begin_periodic() {
+  Periodic run;
   std::int64_t slowest_ns = 1;
   phases_.resize(context_.grid.clock_ppm.size());
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
@@ -345,90 +310,109 @@ Status Releaser::release_periodic() {
         phases_[grid.clock] = std::make_unique<ClockPhase>(context_.grid.clock_ppm[grid.clock]);
       continue;
     }
-    sources.push_back({static_cast<int>(t), &grid});
+    run.sources.push_back({static_cast<int>(t), &grid});
     slowest_ns = std::max(slowest_ns, grid.period_ns());
   }
   pushed_.assign(context_.graph.topics.size(), 0);
-  seen_.resize(context_.graph.sources.size());
   streams_.resize(context_.graph.sources.size());
   // Without a polled source there is no time grid: pushes are counted.
-  const bool counts_pushes = sources.empty() && context_.session.duration_us == 0;
+  const bool counts_pushes = run.sources.empty() && context_.session.duration_us == 0;
   pushes_left_ = counts_pushes ? context_.session.activations : 0;
-  std::int64_t start = now_ns() + 20'000'000;
+  run.start = now_ns() + 20'000'000;
   if (EarlyStart* early = wiring_.early_start())
-    for (const Source& s : sources)
-      if (phases_[s.grid->clock] == nullptr) early->due(s.grid->number, start);
-  const std::int64_t length_ns = counts_pushes ? kForeverNs : run_length_ns(slowest_ns);
-  // Of a source's next release, after `start`; kForeverNs: not known yet.
-  const auto due_of = [&](const Source& s) {
+    for (const Periodic::Source& s : run.sources)
+      if (phases_[s.grid->clock] == nullptr) early->due(s.grid->number, run.start);
+  run.length_ns = counts_pushes ? kForeverNs : run_length_ns(slowest_ns);
+  return run;
+}
+
+/// When the next release is. True: it may be sooner, with the first message of a clock.
+bool Releaser::find_next(Periodic& run) const {
+  run.next_ns = run.length_ns;
+  bool waits = false;
+  for (Periodic::Source& s : run.sources) {
     const auto& phase = phases_[s.grid->clock];
-    if (phase == nullptr) return s.grid->due_ns(s.sequence);
-    return phase->base_ns() ? *phase->base_ns() - start + s.grid->due_ns(s.sequence) : kForeverNs;
-  };
-  while (!stop_.load()) {
-    std::int64_t next_ns = length_ns;
-    bool waits = false;  // for the first message of a clock
-    for (Source& s : sources) {
-      s.due_ns = due_of(s);
-      waits |= s.due_ns == kForeverNs;
-      next_ns = std::min(next_ns, s.due_ns);
+    if (phase == nullptr)
+      s.due_ns = s.grid->due_ns(s.sequence);
+    else
+      s.due_ns = phase->base_ns() ? *phase->base_ns() - run.start + s.grid->due_ns(s.sequence)
+                                  : kForeverNs;
+    waits |= s.due_ns == kForeverNs;
+    run.next_ns = std::min(run.next_ns, s.due_ns);
+  }
+  return waits;
+}
+
+/// In lockstep: once the last release has ended, whatever the period: the time grid moves along. False: the run is over.
+Result<bool> Releaser::take_turn(Periodic& run, std::int64_t& due_ns) {
+  // Before it is said when the others are released, and so that both can be timed.
+  if (inlets_->any()) {
+    XAUTO_ASSIGN(const bool goes_on, release_pushed(now_ns(), true));
+    if (!goes_on) return false;
+  }
+  XAUTO_TRY(drain());
+  const std::int64_t now = now_ns();
+  run.start += now - due_ns;
+  due_ns = now;
+  return true;
+}
+
+/// Before their release, so that making them does not count as latency.
+Status Releaser::make_messages(Periodic& run, std::int64_t due_ns) {
+  run.samples.clear();
+  run.fed.clear();
+  for (Periodic::Source& s : run.sources) {
+    if (s.due_ns > run.next_ns) continue;
+    const auto topic = static_cast<std::size_t>(s.topic);
+    if (wiring_.interop() != nullptr && wiring_.interop()->feeds(topic)) {
+      run.fed.push_back({s.topic, s.sequence++, nullptr, 0});
+      continue;
     }
-    std::int64_t due = start + next_ns;
+    const auto source = static_cast<std::size_t>(context_.graph.topics[topic].source);
+    XAUTO_ASSIGN(auto message, make_message(source, topic, s.sequence, std::max(due_ns, now_ns())));
+    XAUTO_ASSIGN(const bool says, marked(source, message.get(), s.sequence));
+    const bool is_urgent = says && account_.urgent(source, s.sequence);
+    run.samples.push_back({s.topic, s.sequence++, std::move(message),
+                           context_.grid.periodic ? due_ns : 0, is_urgent});
+  }
+  return {};
+}
+
+/// False: the run is over.
+Result<bool> Releaser::wait_until_due(std::int64_t due_ns) {
+  if (inlets_->any() && !context_.session.lockstep) return release_pushed(due_ns);
+  if (!context_.session.lockstep) sleep(due_ns);
+  return !stop_.load();
+}
+
+Status Releaser::release_periodic() {
+  Periodic run = begin_periodic();
+  while (!stop_.load()) {
+    const bool waits = find_next(run);
+    std::int64_t due = run.start + run.next_ns;
     if (waits) {
       XAUTO_ASSIGN(const bool goes_on, release_pushed(due, true));
-      if (!goes_on || now_ns() >= start + length_ns) break;
+      if (!goes_on || now_ns() >= run.start + run.length_ns) break;
       if (now_ns() < due) continue;
     }
-    if (next_ns >= length_ns) {
+    if (run.next_ns >= run.length_ns) {
       if (inlets_->any()) XAUTO_TRY(release_pushed(due));
       break;
     }
     if (context_.session.lockstep) {
-      // Before it is said when the others are released, and so that both can be timed.
-      if (inlets_->any()) {
-        XAUTO_ASSIGN(const bool goes_on, release_pushed(now_ns(), true));
-        if (!goes_on) break;
-      }
-      XAUTO_TRY(drain());
-      // Now, whatever the period: the time grid moves along.
-      const std::int64_t now = now_ns();
-      start += now - due;
-      due = now;
-    }
-    // Messages are made before their release, so that making them does not count as latency.
-    samples.clear();
-    fed.clear();
-    for (Source& s : sources) {
-      if (s.due_ns > next_ns) continue;
-      if (wiring_.interop() != nullptr &&
-          wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
-        fed.push_back({s.topic, s.sequence++, nullptr, 0});
-        continue;
-      }
-      const auto source =
-          static_cast<std::size_t>(context_.graph.topics[static_cast<std::size_t>(s.topic)].source);
-      XAUTO_ASSIGN(auto message, make_message(source, static_cast<std::size_t>(s.topic), s.sequence,
-                                              std::max(due, now_ns())));
-      Seen& seen = seen_[source];
-      XAUTO_ASSIGN(const bool says, marked(seen, source, message.get(), s.sequence));
-      const bool is_urgent = says && urgent(seen, source, s.sequence);
-      samples.push_back(
-          {s.topic, s.sequence++, std::move(message), context_.grid.periodic ? due : 0, is_urgent});
-    }
-    if (inlets_->any() && !context_.session.lockstep) {
-      XAUTO_ASSIGN(const bool goes_on, release_pushed(due));
+      XAUTO_ASSIGN(const bool goes_on, take_turn(run, due));
       if (!goes_on) break;
-    } else {
-      if (!context_.session.lockstep) sleep(due);
-      if (stop_.load()) break;
     }
-    if (!fed.empty()) {
-      start += take_fed(std::move(fed), due, samples);
+    XAUTO_TRY(make_messages(run, due));
+    XAUTO_ASSIGN(const bool goes_on, wait_until_due(due));
+    if (!goes_on) break;
+    if (!run.fed.empty()) {
+      run.start += take_fed(std::move(run.fed), due, run.samples);
       if (stop_.load()) break;
-      if (samples.empty()) continue;
+      if (run.samples.empty()) continue;
     }
-    release(now_ns(), samples);
-    samples.clear();  // the messages belong to who reads them
+    release(now_ns(), run.samples);
+    run.samples.clear();  // the messages belong to who reads them
   }
   return {};
 }
@@ -477,7 +461,6 @@ Status Releaser::release_one_at_a_time() {
         source >= 0 && context_.app.sources[static_cast<std::size_t>(source)].inlet == nullptr &&
         (wiring_.interop() == nullptr || !wiring_.interop()->feeds(t)))
       polled.push_back(t);
-  seen_.resize(context_.graph.sources.size());
   const std::int64_t period_ns =
       context_.grid.sources.empty() ? 0 : context_.grid.sources.front().period_ns();
   const std::int64_t start = now_ns() + 20'000'000;
@@ -561,94 +544,9 @@ void Releaser::tell_early_start(const Sample& sample) {
     early->released(source.number, sample.sequence, sample.nominal_ns);
 }
 
-/// app.json states how late a release may be.
-void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
-  const auto source = static_cast<std::size_t>(
-      context_.graph.topics[static_cast<std::size_t>(sample.topic)].source);
-  seen_.resize(context_.graph.sources.size());
-  Seen& seen = seen_[source];
-  ++seen.of;
-  const std::int64_t after_ns = now_ns - sample.nominal_ns;
-  if (after_ns <= context_.grid.sources[source].jitter_ns) return;
-  ++seen.late;
-  context_.board.count_late(after_ns);
-  seen.latest_ns = std::max(seen.latest_ns, after_ns);
-}
-
-/// Of what is off its grid: whether it comes too often, or too seldom.
-std::string Releaser::another_rate(const Seen& seen, const Grid::Source& grid) {
-  std::string text;
-  if (seen.early > 0)
-    text = fmt::format("; {} of them came sooner than its period and jitter allow", seen.early);
-  const auto stated =
-      static_cast<std::uint64_t>((seen.last_ns - seen.first_ns) / grid.period_ns()) + 1;
-  // One more or less is where the run begins and ends.
-  if (std::max(seen.came, stated) - std::min(seen.came, stated) > 1)
-    text += fmt::format("; {} came in the time of {}", seen.came, stated);
-  return text;
-}
-
 void Releaser::report(RunReport& into) const {
   if (tables_) tables_->report(into);
-  std::vector<std::string> off_grid, left_out, too_soon, unphased;
-  std::uint64_t num_left_out = 0, num_too_soon = 0;
-  for (std::size_t s = 0; s < seen_.size(); ++s) {
-    const Seen& seen = seen_[s];
-    const Grid::Source& grid = context_.grid.sources[s];
-    const std::string& name = context_.graph.sources[s].name;
-    if (const std::int64_t ns = seen.made_late_ns; ns > 0)
-      into.account.taken.push_back(
-          {fmt::format("the function of source '{}' returned up to {:.2f} ms after "
-                       "its message was due",
-                       name, static_cast<double>(ns) * 1e-6),
-           ns / 1000});
-    if (std::string words = words_of_late(seen, grid, name); !words.empty())
-      off_grid.push_back(std::move(words));
-    if (std::string words = words_of_off(seen, grid, name); !words.empty())
-      off_grid.push_back(std::move(words));
-    num_left_out += seen.left_out;
-    if (seen.left_out > 0)
-      left_out.push_back(
-          fmt::format("source '{}' left out {} of {} releases", name, seen.left_out, seen.of));
-    num_too_soon += seen.too_soon;
-    if (seen.too_soon > 0)
-      too_soon.push_back(fmt::format(
-          "source '{}' marked {} releases urgent too soon: less than {} releases after the "
-          "urgent one before; they were ordinary ones",
-          name, seen.too_soon, grid.urgent_apart));
-    if (phases_.size() > grid.clock && phases_[grid.clock] != nullptr &&
-        !phases_[grid.clock]->base_ns())
-      unphased.push_back(
-          fmt::format("source '{}' was not released: nothing came on its clock, so its phase "
-                      "is not known",
-                      name));
-  }
-  into.account.add("release_off_grid", 0, std::move(off_grid));
-  into.account.add("release_left_out", num_left_out, std::move(left_out));
-  into.account.add("urgent_too_soon", num_too_soon, std::move(too_soon));
-  const std::uint64_t num_unphased = unphased.size();
-  into.account.add("source_silent", num_unphased, std::move(unphased));
-}
-
-std::string Releaser::words_of_late(const Seen& seen, const Grid::Source& grid,
-                                    const std::string& name) {
-  if (seen.late == 0) return {};
-  const std::int64_t latest_us = (seen.latest_ns + 999) / 1000;
-  return fmt::format(
-      "source '{}' was released up to {} us late in {} of {} releases; app.json states a jitter of "
-      "{} us: with \"jitter_us\": {} of this source `solve` plans for it",
-      name, latest_us, seen.late, seen.of, grid.jitter_ns / 1000, latest_us);
-}
-
-std::string Releaser::words_of_off(const Seen& seen, const Grid::Source& grid,
-                                   const std::string& name) const {
-  if (seen.off == 0) return {};
-  return fmt::format(
-      "source '{}' was up to {} us off its grid in {} of {} releases{}; app.json states a period "
-      "of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
-      name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of, another_rate(seen, grid),
-      static_cast<double>(grid.period.num) / static_cast<double>(grid.period.den),
-      grid.jitter_ns / 1000, context_.grid.clock_ppm[grid.clock]);
+  account_.report(phases_, into.account);
 }
 
 /// The earliest nominal release of the activations that `samples` are for.
@@ -678,7 +576,9 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   };
   for (const Sample& sample : samples)
     if (sample.nominal_ns > 0) {
-      watch_jitter(now_ns, sample);
+      account_.released(static_cast<std::size_t>(
+                            context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
+                        now_ns - sample.nominal_ns);
       tell_early_start(sample);
     }
   std::int64_t oldest_ns = INT64_MAX;
@@ -705,7 +605,8 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   }
   if (recorder_)
     for (const Sample& sample : samples)
-      record(static_cast<std::size_t>(sample.topic), now_ns, sample.sequence, sample.message.get());
+      recorder_->record(static_cast<std::size_t>(sample.topic), now_ns, sample.sequence,
+                        sample.message.get());
   for (const Sample& sample : samples) {
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
@@ -725,69 +626,6 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
       envelope.origins = std::move(origins);
     }
     wiring_.channel(static_cast<std::size_t>(topic)).publish(envelope);
-  }
-}
-
-Status Releaser::open_recorder() {
-  if (context_.session.record.empty()) return {};
-  XAUTO_ASSIGN(auto recorder, record::Recorder::create(context_.session.record));
-  recorded_topic_.assign(context_.graph.topics.size(), 0);
-  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t)
-    XAUTO_TRY(record_topic(recorder, t));
-  if (context_.graph.single_rate) {
-    XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));
-  }
-  XAUTO_ASSIGN(recorder_, record::BackgroundRecorder::start(std::move(recorder)));
-  // Once: so the distances between messages are those that were measured, whoever sets the clock.
-  wall_offset_ns_ = clock_ns(CLOCK_REALTIME) - now_ns();
-  records_.store(true);
-  return {};
-}
-
-/// What modules publish is recorded when it arrives here, on the thread that brings it.
-Status Releaser::record_topic(record::Recorder& recorder, std::size_t topic) {
-  const Graph::Topic& of = context_.graph.topics[topic];
-  const bool is_source = of.source >= 0;
-  if (!is_source && !context_.session.record_outputs) return {};
-  if (of.spec.encode == nullptr) {
-    if (is_source)
-      return fail(ErrorCode::kInvalid,
-                  "messages of type " + of.spec.type_name + " cannot be recorded",
-                  "topic '" + of.spec.name + "'", "specialise xauto::Codec for it");
-    notes_.push_back("topic '" + of.spec.name + "' is not recorded: " + of.spec.type_name +
-                     " has no xauto::Codec");
-    return {};
-  }
-  XAUTO_ASSIGN(recorded_topic_[topic], recorder.add_topic(record::app_topic(
-                                           of.spec.name, of.spec.ros_type, of.spec.schema)));
-  if (!is_source)
-    wiring_.channel(topic).subscribe([this, topic](const detail::Envelope& envelope) {
-      record(topic, now_ns(), envelope.sequence, envelope.message.get());
-    });
-  return {};
-}
-
-/// The first failure ends the recording, not the run; the report tells. In lockstep nothing is in
-/// real time, so there nothing need be lost. Any thread.
-void Releaser::record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequence,
-                      const void* message) {
-  if (message == nullptr || !records_.load(std::memory_order_relaxed)) return;
-  const auto if_full = context_.session.lockstep ? record::BackgroundRecorder::IfFull::kWait
-                                                 : record::BackgroundRecorder::IfFull::kLose;
-  const std::int64_t stamp_ns = now_ns + wall_offset_ns_;
-  try {
-    const detail::TopicSpec& spec = context_.graph.topics[topic].spec;
-    std::vector<std::byte> bytes = spec.encode(message);
-    if (spec.ros_type.empty())
-      recorder_->write_enclosed(recorded_topic_[topic], stamp_ns, sequence, std::move(bytes),
-                                if_full);
-    else
-      recorder_->write(recorded_topic_[topic], stamp_ns, std::move(bytes), if_full);
-  } catch (const std::exception& e) {
-    if (!records_.exchange(false)) return;
-    const Guard lock(recording_mutex_);
-    recording_error_ = std::string("recording ended early: ") + e.what();
-    log::warn("{}", recording_error_);
   }
 }
 

@@ -13,15 +13,14 @@
 
 #include <xauto/result.h>
 
-#include "base/pi_mutex.h"
-#include "graph/inlet.h"
-#include "record/background.h"
-#include "runtime/wiring.h"
-
 #include "account/ledger.h"
+#include "graph/inlet.h"
 #include "grid/context.h"
 #include "grid/phase.h"
 #include "releases/feeds.h"
+#include "releases/run_recorder.h"
+#include "releases/source_account.h"
+#include "runtime/wiring.h"
 #include "tables/table_switch.h"
 
 namespace xauto::runtime {
@@ -40,7 +39,9 @@ class Releaser {
   [[nodiscard]] bool wait_drained();
   /// Closes the recording, with an account of `releases` (of an app of one rate). Nothing is published
   /// any more, or it is not recorded. Returns why it is not whole; empty: it is, or there is none.
-  [[nodiscard]] std::string close(const std::vector<ReleaseRecord>& releases);
+  [[nodiscard]] std::string close(const std::vector<ReleaseRecord>& releases) {
+    return recorder_ ? recorder_->close(releases) : std::string();
+  }
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
   /// No job runs any more: the last look at what tables take for granted. Before `report`.
@@ -60,23 +61,22 @@ class Releaser {
     bool urgent = false;
     std::int64_t stamp_ns = 0;  ///< its origin, of what is fed without a grid; 0: the release
   };
-  struct Seen;
+  struct Periodic;
   Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)
-      : context_(context), wiring_(wiring), ledger_(ledger), stop_(stop) {}
+      : context_(context), wiring_(wiring), ledger_(ledger), stop_(stop), account_(context) {}
   [[nodiscard]] Status run_here(int fifo);
-  [[nodiscard]] Status open_recorder();
   [[nodiscard]] std::int64_t run_length_ns(std::int64_t slowest_period_ns) const;
   [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
+  [[nodiscard]] Periodic begin_periodic();
+  [[nodiscard]] bool find_next(Periodic& run) const;
+  [[nodiscard]] Result<bool> take_turn(Periodic& run, std::int64_t& due_ns);
+  [[nodiscard]] Status make_messages(Periodic& run, std::int64_t due_ns);
+  [[nodiscard]] Result<bool> wait_until_due(std::int64_t due_ns);
   [[nodiscard]] Result<bool> release_pushed(std::int64_t until_ns, bool once = false);
   [[nodiscard]] bool lose_overdue(std::int64_t now_ns);
   [[nodiscard]] std::int64_t next_overdue_ns() const;
   void leave_out(int topic, std::uint64_t number, std::int64_t at_ns);
-  [[nodiscard]] static std::string another_rate(const Seen& seen, const Grid::Source& grid);
-  [[nodiscard]] static std::string words_of_late(const Seen& seen, const Grid::Source& grid,
-                                                 const std::string& name);
-  [[nodiscard]] std::string words_of_off(const Seen& seen, const Grid::Source& grid,
-                                         const std::string& name) const;
   [[nodiscard]] bool counted_all(int topic);
   [[nodiscard]] Result<bool> release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;
@@ -84,9 +84,7 @@ class Releaser {
   [[nodiscard]] Status open_feeds(int fifo);
   [[nodiscard]] bool certifies_urgent(std::size_t source) const;
   void open_for_urgent();
-  [[nodiscard]] Result<bool> marked(Seen& seen, std::size_t source, const void* message,
-                                    std::uint64_t number) const;
-  [[nodiscard]] bool urgent(Seen& seen, std::size_t source, std::uint64_t number);
+  [[nodiscard]] Result<bool> marked(std::size_t source, const void* message, std::uint64_t number);
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] bool waits_for_the_last() const;
   [[nodiscard]] Status drain();
@@ -103,48 +101,22 @@ class Releaser {
   [[nodiscard]] std::int64_t component_release_ns(std::int64_t now_ns,
                                                   std::span<const Sample> samples) const;
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
-  void watch_jitter(std::int64_t now_ns, const Sample& sample);
   void tell_early_start(const Sample& sample);
-  [[nodiscard]] Status record_topic(record::Recorder& recorder, std::size_t topic);
-  void record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequence, const void* message);
 
   const Context& context_;
   Wiring& wiring_;
   Ledger& ledger_;
   const std::atomic<bool>& stop_;
-  std::unique_ptr<TableSwitch> tables_;                   ///< null: there is one policy
-  std::unique_ptr<record::BackgroundRecorder> recorder_;  ///< null: nothing is recorded
-  std::vector<std::size_t> recorded_topic_;               ///< [topic] -> the recorder's index
-  std::size_t releases_topic_ = 0;                        ///< of the accounts
-  std::int64_t wall_offset_ns_ = 0;                       ///< the wall clock's time minus now_ns()
-  PiMutex recording_mutex_;
-  std::string recording_error_ XAUTO_GUARDED_BY(recording_mutex_);
-  std::atomic<bool> records_{false};      ///< open, and nothing has gone wrong
-  std::optional<detail::Inlets> inlets_;  ///< while it releases
+  std::unique_ptr<TableSwitch> tables_;    ///< null: there is one policy
+  std::unique_ptr<RunRecorder> recorder_;  ///< null: nothing is recorded
+  std::optional<detail::Inlets> inlets_;   ///< while it releases
   FedGrid fed_grid_;
   std::unique_ptr<Feeds> feeds_;       ///< likewise; before its inlets; null: nobody feeds
   std::vector<std::uint64_t> pushed_;  ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;      ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;
-  int gaps_ = 0;  ///< of the recording, longer than record::kGapNs
-  /// What is not as app.json states.
-  struct Seen {
-    std::uint64_t of = 0;
-    std::uint64_t late = 0;  ///< later than the stated jitter
-    std::int64_t latest_ns = 0;
-    std::int64_t made_late_ns =
-        0;  ///< polled: the most that making a message took of what was to be its latency
-    std::uint64_t off = 0;    ///< pushed: for which its grid had to be moved
-    std::uint64_t early = 0;  ///< ... since they came too soon
-    std::uint64_t came = 0;   ///< pushed: messages, the first and the last of them when
-    std::int64_t first_ns = 0, last_ns = 0;
-    std::int64_t farthest_ns = 0;
-    std::uint64_t left_out = 0;  ///< pushed: there was no message
-    std::uint64_t unheard = 0;   ///< polled: urgent, and nothing certifies that
-    std::uint64_t too_soon = 0;  ///< urgent, sooner after the one before than stated
-    std::optional<std::uint64_t> last_urgent = {};  ///< its number
-  };
-  std::vector<Seen> seen_;  ///< [source]
+  int gaps_ = 0;           ///< of the recording, longer than record::kGapNs
+  SourceAccount account_;  ///< what is not as app.json states
   /// [clock] of what is pushed in a run by keys; null: everything of it is released by us.
   std::vector<std::unique_ptr<ClockPhase>> phases_;
   std::vector<ClockPhase::Stream> streams_;  ///< [source]

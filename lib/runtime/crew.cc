@@ -8,6 +8,16 @@
 
 namespace xauto::runtime {
 
+Ready Lane::pop() {
+  coord::Next next;
+  for (std::size_t i = 0; i < jobs_.size(); ++i)
+    next.consider({jobs_[i].key, 0, static_cast<int>(i)});  // who was ready first is before it
+  const auto at = jobs_.begin() + next.slot();
+  const Ready job = *at;
+  jobs_.erase(at);
+  return job;
+}
+
 void Crew::join(Worker& worker) {
   const Guard lock(mutex_);
   idle_.push_back(&worker);

@@ -31,6 +31,29 @@ struct Ready {
 };
 
 /// Threads: any.
+/// What an execution thread has to do, if it belongs to a crew. Threads: that one, apart from `take`.
+class Lane {
+ public:
+  void reserve(std::size_t jobs) { jobs_.reserve(jobs); }
+  [[nodiscard]] bool empty() const { return jobs_.empty(); }
+  /// It became ready on this thread, and stays with it.
+  void push(const Ready& job) { jobs_.push_back(job); }
+  /// The most urgent one, as the XPU itself would be given.
+  [[nodiscard]] Ready pop();
+  [[nodiscard]] const std::vector<Ready>& all() const { return jobs_; }
+  void clear() { jobs_.clear(); }
+
+  /// The crew's choice, while this thread has nothing to do. Another thread, before it wakes this one.
+  void take(const Ready& job) { taken_ = job; }
+  [[nodiscard]] const Ready& taken() const { return taken_; }
+  /// The crew knows this thread as one that has nothing to do, before that is so.
+  bool asked = false;
+
+ private:
+  std::vector<Ready> jobs_;
+  Ready taken_;
+};
+
 class Crew {
  public:
   /// The thread of `worker` is one of them, and has nothing to do.

@@ -7,9 +7,8 @@
 #include "base/clock.h"
 #include "base/futex.h"
 #include "base/index.h"
-#include "model/components.h"
-
 #include "grid/phase.h"
+#include "model/components.h"
 
 namespace xauto::runtime {
 

@@ -20,14 +20,13 @@
 
 #include <xauto/result.h>
 
+#include "grid/context.h"
+#include "grid/grid.h"
 #include "model/app.h"
 #include "model/early_start.h"
 #include "model/platform.h"
 #include "model/policy.h"
 #include "runtime/urgency.h"
-
-#include "grid/context.h"
-#include "grid/grid.h"
 
 namespace xauto::runtime {
 

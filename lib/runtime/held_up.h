@@ -23,9 +23,8 @@
 #include <xauto/result.h>
 
 #include "coord/observer.h"
-#include "runtime/placing.h"
-
 #include "grid/context.h"
+#include "runtime/placing.h"
 
 namespace xauto::runtime {
 

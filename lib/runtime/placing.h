@@ -11,11 +11,10 @@
 
 #include <xauto/result.h>
 
+#include "grid/context.h"
 #include "model/fifo_range.h"
 #include "runtime/worker.h"
 #include "session/limits.h"
-
-#include "grid/context.h"
 
 namespace xauto::runtime {
 

@@ -17,6 +17,7 @@
 #include <xauto/result.h>
 
 #include "base/thread_safety.h"
+#include "grid/context.h"
 #include "processes/board.h"
 #include "processes/interop.h"
 #include "processes/role.h"
@@ -28,8 +29,6 @@
 #include "session/run_report.h"
 #include "transport/receiver.h"
 #include "xpu/cpu_threads.h"
-
-#include "grid/context.h"
 
 namespace xauto::runtime {
 

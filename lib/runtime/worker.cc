@@ -24,6 +24,7 @@ namespace {
 
 constexpr std::uint32_t kQuit = UINT32_MAX;
 constexpr std::int64_t kDestroyNs = 10'000'000'000;  ///< patience with what `init` has made
+constexpr std::int64_t kWorthTellingNs = 50'000;     ///< to the trace: shorter ones explain nothing
 constexpr std::int64_t kCallNs = 1'000'000'000;      ///< ... with a call that suspends or resumes
 constexpr std::uint32_t kIdle = 1, kThrough = 2;     ///< Worker::ended_
 
@@ -45,13 +46,15 @@ Worker::~Worker() {
 Status Worker::start() {
   XAUTO_ASSIGN(backend_, xpu::make_backend(options_.backend));
   if (options_.contexts != nullptr) backend_->count_in(*options_.contexts);
-  holds_ = options_.counts != nullptr && !backend_->on_thread();
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
       if (placed.worker == this) xnodes.push_back(placed.task);
     XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
                                              options_.order, options_.mgmt_fifo));
+  }
+  times_.set_up({options_.counts, port_.get(), options_.preempt_ns, backend_->on_thread()});
+  if (port_) {
     XAUTO_ASSIGN(mgmt_, start_thread([this] {
                    manage();
                    managed_.store(1);
@@ -82,9 +85,8 @@ Status Worker::init_nodes() {
   rt::set_timer_slack_1ns();
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
   XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
-  (void)pthread_getcpuclockid(pthread_self(), &cpu_clock_);
-  tid_ = gettid();
-  if (backend_->on_thread()) given_ = rt::placement_of(tid_);
+  times_.of_this_thread();
+  if (backend_->on_thread()) given_ = rt::placement_of(times_.thread_id());
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this || std::exchange(placed.here->there, true)) continue;
     detail::Made& made = placed.here->made;
@@ -175,10 +177,10 @@ bool Worker::stop(std::int64_t patience_ns) {
 }
 
 std::string Worker::stuck_call() const {
-  const char* call = call_.load();
-  const Placed* placed = call_for_.load();
-  if (call == nullptr || placed == nullptr) return {};
-  return std::string("the ") + call + " of XNode '" + placed->name + "' on " + xpu_name();
+  const CallWatch::Seen seen = calls_.now();
+  if (seen.call == CallWatch::Call::kNone) return {};
+  return std::string("the ") + (seen.call == CallWatch::Call::kSuspend ? "suspend" : "resume") +
+         " of XNode '" + seen.placed->name + "' on " + xpu_name();
 }
 
 std::string Worker::stuck_in() const {
@@ -195,7 +197,7 @@ void Worker::submit(std::size_t node) {
   if (crew_ != nullptr) {
     const Ready job{this, node, key_of(placed)};
     if (t_home != nullptr && t_home->crew_ == crew_)
-      t_home->lane_.push_back(job);
+      t_home->lane_.push(job);
     else
       crew_->submit(job);
     return;
@@ -205,7 +207,7 @@ void Worker::submit(std::size_t node) {
 }
 
 void Worker::take(const Ready& job) {
-  taken_ = job;
+  lane_.take(job);
   wake(1);
 }
 
@@ -222,13 +224,12 @@ void Worker::skip(std::size_t position, std::uint64_t sequence) {
 
 void Worker::execute() {
   t_home = this;
-  cpu_told_ns_ = clock_ns(cpu_clock_);  // not what the inits took
-  if (backend_->on_thread()) waited_before_ns_ = rt::without_core_ns().value_or(0);
+  times_.before_jobs();
   for (;;) {
     const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
     if (mail == kQuit) return tell_moved();
     if (mail == 0) {
-      if (!holds_) tell_cpu_time();
+      times_.tell_cpu_time();
       futex_wait_local(mailbox_, 0);
       continue;
     }
@@ -240,19 +241,11 @@ void Worker::execute() {
   }
 }
 
-/// Before it sleeps, where it costs no job anything.
-void Worker::tell_cpu_time() {
-  if (options_.counts == nullptr) return;
-  const std::int64_t cpu_ns = clock_ns(cpu_clock_);
-  options_.counts->busy_ns.fetch_add(cpu_ns - std::exchange(cpu_told_ns_, cpu_ns),
-                                     std::memory_order_relaxed);
-}
-
 void Worker::execute_crew_job() {
-  for (std::optional<Ready> job = taken_; job;) {
+  for (std::optional<Ready> job = lane_.taken(); job;) {
     job->worker->run_chain(job->node, job->begun);
     run_lane();
-    job = std::exchange(asked_, false) ? std::nullopt : crew_->next(*this);
+    job = std::exchange(lane_.asked, false) ? std::nullopt : crew_->next(*this);
   }
 }
 
@@ -263,34 +256,26 @@ void Worker::ask_early() {
   Worker& home = *t_home;
   if (crew_ == nullptr || !home.lane_.empty()) return;
   if (const auto job = crew_->next(home))
-    home.lane_.push_back(*job);
+    home.lane_.push(*job);
   else
-    home.asked_ = true;
+    home.lane_.asked = true;
 }
 
 /// It has something to do after all. If it was chosen meanwhile, that job joins what waits here.
 void Worker::withdraw() {
-  asked_ = false;
+  lane_.asked = false;
   if (crew_->leave(*this)) return;
   std::uint32_t mail = 0;
   while ((mail = mailbox_.load(std::memory_order_acquire)) == 0) futex_wait_local(mailbox_, 0);
   if (mail == kQuit) return;
   mailbox_.store(0, std::memory_order_release);
-  lane_.push_back(taken_);
+  lane_.push(lane_.taken());
 }
 
-/// The most urgent job of this thread first, as the XPU itself would be given.
 void Worker::run_lane() {
   while (!lane_.empty()) {
-    if (asked_) withdraw();
-    coord::Next next;
-    for (std::size_t i = 0; i < lane_.size(); ++i) {
-      // Who was ready first is before it.
-      next.consider({lane_[i].key, 0, static_cast<int>(i)});
-    }
-    const auto at = lane_.begin() + next.slot();
-    const Ready job = *at;
-    lane_.erase(at);
+    if (lane_.asked) withdraw();
+    const Ready job = lane_.pop();
     job.worker->run_chain(job.node, job.begun);
   }
 }
@@ -298,7 +283,7 @@ void Worker::run_lane() {
 /// Before the XPU is given away: whoever gets it next must be more urgent than what waits here. Which
 /// of them that will be nobody knows, so from here on each has a thread of its own.
 void Worker::show_lane() {
-  for (const Ready& job : lane_) {
+  for (const Ready& job : lane_.all()) {
     job.worker->begin(job.worker->chain_.chain()[job.node]);
     crew_->submit({job.worker, job.node, job.key, true});
   }
@@ -332,7 +317,7 @@ void Worker::run_chain(std::size_t node, bool begun) {
     if (&next != this) return next.submit(node);
     if (!module.enter(activation)) return;
     if (crew_ != nullptr && !t_home->lane_.empty())
-      return t_home->lane_.push_back({this, node, key_of(chain[node])});
+      return t_home->lane_.push({this, node, key_of(chain[node])});
   }
 }
 
@@ -370,7 +355,7 @@ std::uint32_t Worker::hold_back(const Placed& placed) {
   if (!slept) return 0;
   const std::int64_t now = now_ns();
   if (!options_.backend.emulated && !backend_->on_thread())
-    overslept_ns_ = std::max<std::int64_t>(0, now - until);
+    times_.overslept(std::max<std::int64_t>(0, now - until));
   return static_cast<std::uint32_t>(
       std::min<std::int64_t>((std::min(now, until) - since) / 1000, UINT32_MAX));
 }
@@ -389,7 +374,7 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
     chain_.activation->set_due(key_of(placed), key_of(chain[chain_.length() - 1]));
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
-  overslept_ns_ = 0;
+  times_.overslept(0);
   const std::uint32_t held_us = placed.urgency.holds() ? hold_back(placed) : 0;
   if (port_) {
     if (!begun) begin(placed, held_us);
@@ -405,8 +390,8 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   if (position == 0 && chain_.runtime->looks_first())
     chain_.runtime->begin(*chain_.activation, chain_.runtime->samples() ? now_ns() : 0);
   record(XAUTO_EV_RUN, placed, chain_.activation->sequence());
-  const bool timed = holds_ || placed.limited;
-  if (timed) begin_timed(placed, chain_.activation->sequence());
+  const bool timed = times_.times(placed);
+  if (timed) times_.begin(placed, chain_.activation->sequence());
   bool succeeded = false;
   try {
     if (Status status =
@@ -422,7 +407,8 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   }
   // The next job's key sets it again: nobody would see it later.
   if (!given_.cpus.empty() && sched_getscheduler(0) != given_.policy) tell_moved();
-  if (timed && !end_timed(placed)) succeeded = false;
+  if (timed) tell_without_core(placed, times_.end(placed));
+  if (placed.limited && chain_.activation->abandoned()) succeeded = false;
   if (port_) {
     backend_->finishing(here.made.handle, !here.ran_once);
     here.ran_once = true;
@@ -436,6 +422,12 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   record(XAUTO_EV_FINISH, placed, chain_.activation->sequence(), succeeded ? 0 : 1);
   if (succeeded && placed.ends_chain) chain_.runtime->passed(*chain_.activation, placed.node);
   return succeeded;
+}
+
+void Worker::tell_without_core(const Placed& placed, std::int64_t ns) {
+  if (ns >= kWorthTellingNs)
+    record(XAUTO_EV_NO_CORE, placed, chain_.activation->sequence(),
+           static_cast<std::uint32_t>(std::min<std::int64_t>(ns / 1000, UINT32_MAX)));
 }
 
 /// Of the hardware, before anything is queued. The order is lost where that fails: it is counted.

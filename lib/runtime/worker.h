@@ -16,20 +16,17 @@
 #include <thread>
 #include <vector>
 
-#include <time.h>
-
 #include <xauto/result.h>
 
 #include "base/rt.h"
 #include "coord/port.h"
 #include "coord/rule.h"
-#include "graph/graph.h"
 #include "processes/board.h"
+#include "runtime/call_watch.h"
 #include "runtime/crew.h"
-#include "runtime/stopwatch.h"
-#include "runtime/urgency.h"
+#include "runtime/job_times.h"
+#include "runtime/placed.h"
 #include "runtime/xmodule.h"
-#include "session/limits.h"
 #include "trace/trace.h"
 #include "xpu/cpu_threads.h"
 #include "xpu/kind.h"
@@ -38,56 +35,6 @@ namespace xauto::runtime {
 
 class EarlyStart;
 class HeldUp;
-
-/// What an XNode's init has made on one XPU, shared by all tables that place it there. Of the worker's
-/// execution thread.
-struct Instance {
-  detail::Made made;
-  bool there = false;     ///< init has run
-  bool ran_once = false;  ///< exec has
-};
-
-/// One XNode as a table places it: everything that its job needs, looked up once. What each job asks
-/// for is in the first cache line.
-struct alignas(64) Placed {
-  Worker* worker = nullptr;
-  const detail::ImplSpec* impl = nullptr;
-  std::shared_ptr<Instance> here = std::make_shared<Instance>();
-  std::uint32_t task = 0;   ///< as coordinators and BPF maps know it, see Session::task
-  std::uint32_t table = 0;  ///< that places it so
-  int fifo_priority = 0;    ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
-  bool limited = false;     ///< see `limit`
-  bool watched = false;     ///< how long its jobs take decides which table is next
-  bool ends_chain = false;  ///< a chain ends here, and not at the module's end
-  Urgency urgency;
-  std::uint32_t xnode = 0;  ///< index into app.json's xnodes
-  int node = -1;            ///< index into the graph's nodes
-  Limits limits;
-  XNodeLine* line = nullptr;  ///< of the board
-  std::string name;
-
-  /// Its jobs are timed if they have limits, or are watched.
-  void limit(const Limits& by, bool watch, XNodeLine& on) {
-    limits = by;
-    watched = watch;
-    line = &on;
-    limited = limits.any() || watched;
-  }
-};
-
-/// The chain of one module as one of its activations runs through it, shared by its workers.
-struct NodeRow {
-  int module = -1;
-  ModuleRuntime* runtime = nullptr;
-  Activation* activation = nullptr;
-  std::vector<Placed> nodes;  ///< the chain as the first table places it, then as the next one does
-  std::size_t tables = 1;
-  [[nodiscard]] std::size_t length() const { return nodes.size() / tables; }
-  /// As the activation's table places it.
-  [[nodiscard]] const Placed* chain() const {
-    return tables == 1 ? nodes.data() : nodes.data() + activation->table() * length();
-  }
-};
 
 struct WorkerOptions {
   std::string name;             ///< "fcd@gpu0"
@@ -132,27 +79,17 @@ class Worker {
   /// Of one that did not stop in time: what does not return, likewise.
   [[nodiscard]] std::string stuck_in() const;
 
-  /// A job that has run past its hang limit, each once. One thread.
-  struct Hung {
-    const Placed* placed;
-    std::uint64_t sequence;
-    int module;
-  };
-  [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
-  /// Counts a call that suspends or resumes as failed that has not returned for a second. Likewise.
+  /// How long its jobs have had their XPU.
+  [[nodiscard]] JobTimes& times() { return times_; }
+  /// Counts a call that suspends or resumes as failed that has not returned for a second. One thread.
   void tell_stuck_call(std::int64_t now_ns);
-  /// Tells the board of the job that runs that it is past its WCET, if it is: it may never end. The thread of
-  /// find_hung.
-  void tell_past_wcet(std::int64_t now_ns);
   /// Tells the board if its thread, on a core, has other CPUs or another scheduling policy than it was given.
   /// Any thread.
   void tell_moved() const;
-  /// Of its execution thread, from `start` on.
-  [[nodiscard]] pid_t thread_id() const { return tid_; }
-  /// The work of its jobs is that thread.
+  /// The work of its jobs is its execution thread.
   [[nodiscard]] bool on_core() const { return backend_ && backend_->on_thread(); }
-  /// Tells the board for how long the job that runs has had its XPU, if that is watched. Any thread.
-  void tell_time(std::int64_t now_ns) const;
+  /// Index into Graph::modules.
+  [[nodiscard]] int module() const { return chain_.module; }
 
   /// Hands over the activation: run from chain position `node` on. Any thread; must not be
   /// called again before that job has left this worker.
@@ -177,6 +114,11 @@ class Worker {
   void ask_early();
   void withdraw();
   void manage();
+  struct Suspended;
+  void carry_out_suspend(std::optional<Suspended>& suspended);
+  void carry_out_resume(std::optional<Suspended>& suspended);
+  void look_at_suspended(std::optional<Suspended>& suspended, int again_ms);
+  void let_run_alone(std::optional<Suspended>& suspended);
   [[nodiscard]] Status suspend(const Placed& placed);
   [[nodiscard]] Status resume(const Placed& placed, const SchedHandle& handle);
   void tell_failed(const Placed& placed, bool suspend, const std::string& why);
@@ -198,16 +140,10 @@ class Worker {
               std::uint32_t arg = 0) {
     if (trace_ != nullptr) write(kind, placed, sequence, arg);
   }
+  void tell_without_core(const Placed& placed, std::int64_t ns);
   void take_level(const Placed& placed);
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
-  void begin_timed(const Placed& placed, std::uint64_t sequence);
-  [[nodiscard]] std::int64_t on_core_ns(const Placed& placed, std::int64_t wall_ns);
-  void tell_waited(std::int64_t without_core_ns, XNodeLine& line);
-  [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
-  [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
-  bool end_timed(const Placed& placed);
-  void tell_cpu_time();
 
   static thread_local Worker* t_home;  ///< whose execution thread this is
 
@@ -223,40 +159,18 @@ class Worker {
   /// kSequenceBits, its activation's number below.
   std::atomic<std::uint64_t> current_{0};
   static constexpr int kSequenceBits = 48;
-  bool holds_ = false;  ///< its XPU is held by jobs, and no CPU: for how long is counted
   /// 0: empty; kQuit; else chain position + 1, or anything if it belongs to a crew.
   std::atomic<std::uint32_t> mailbox_{0};
-  std::vector<Ready> lane_;  ///< what became ready on its execution thread, and stays with it
-  Ready taken_;              ///< of its execution thread, if it belongs to a crew
-  bool asked_ = false;       ///< see ask_early
+  Lane lane_;  ///< of its execution thread, if it belongs to a crew
   std::thread exec_, mgmt_;
   std::atomic<bool> lost_{false};
   std::atomic<std::uint32_t> managed_{0};  ///< 1: the management thread is through; a futex
-  /// What its backend is told to do, and for whom; null: nothing.
-  std::atomic<const char*> call_{nullptr};
-  std::atomic<const Placed*> call_for_{nullptr};
-  std::atomic<std::int64_t> call_since_ns_{0};
-  std::int64_t told_call_ns_ =
-      0;  ///< of the thread of find_hung: the last one that was stuck began then
+  CallWatch calls_;
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
-  Stopwatch watch_;                            ///< of the job that runs
-  std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
-  std::int64_t overslept_ns_ =
-      0;  ///< for how long it slept after its hold; of real XPUs that it queues on
-  std::atomic<std::uint64_t> hung_job_{0};  ///< the last one that find_hung found
-  /// The last job that was told to be past its WCET while it ran; one more than a job: that one has ended.
-  std::atomic<std::uint64_t> past_job_{0};
-  std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
-  /// At the begin of the job that runs; below 0: nobody counts it.
-  std::atomic<std::int64_t> without_core_since_ns_{-1};
-  std::int64_t cpu_told_ns_ = 0;  ///< ... what is on the board
-  /// At the end of the job before: for how long it had waited for its core, and others had run there.
-  std::int64_t waited_before_ns_ = 0, others_before_ns_ = 0;
-  rt::Placement given_;                    ///< what it was given; set before its first init
-  clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
-  pid_t tid_ = 0;                          ///< likewise
+  JobTimes times_;
+  rt::Placement given_;  ///< what it was given; set before its first init
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);
 };

@@ -25,7 +25,6 @@
 #include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "model/tables.h"
-
 #include "tables/scenario_order.h"
 
 namespace xauto::runtime {

@@ -32,7 +32,6 @@
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/tables.h"
-
 #include "tables/scenario_order.h"
 
 namespace xauto::runtime {

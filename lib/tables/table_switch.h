@@ -15,36 +15,24 @@
 // nothing is claimed.) The one before, whose jobs asked for the change, has
 // Handover::worst_case_us; of a change that keeps the table, the table's.
 //
-// A job that runs too long decides for the next release, which is the first that can have another table.
-// In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
-// watch's thread (ConditionWatch), which asks the same choice.
-//
-// A job past its WCET is no matter if the scenario in force when it ended, or the one that is chosen
-// for the next release, covers it: then a change is claimed with it. Else it is counted, and nothing is
-// claimed, also where it was too little for another scenario (kEmulatorStallUs).
+// A job that runs too long decides for the next release, which is the first that can have another table
+// (scenario_watch.h). In another process its watchdog tells (HangWatch).
 #pragma once
 
 #include <algorithm>
 #include <cstdint>
 #include <deque>
-#include <functional>
 #include <memory>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <xauto/result.h>
 
-#include "base/pi_mutex.h"
-#include "base/thread_safety.h"
-#include "session/claimed_wcets.h"
-#include "session/run_report.h"
-
 #include "account/ledger.h"
+#include "base/thread_safety.h"
 #include "grid/context.h"
-#include "tables/condition_watch.h"
-#include "tables/outside_log.h"
-#include "tables/scenario_choice.h"
+#include "session/run_report.h"
+#include "tables/scenario_watch.h"
 
 namespace xauto::runtime {
 
@@ -61,15 +49,12 @@ constexpr bool noticed_in_time(std::int64_t now_ns, std::int64_t too_long_ns,
   return last_release_ns <= now_ns - too_long_ns + notice_ns;
 }
 
-/// Threads: one, that of the releases, then that of the report; and its own.
+/// Threads: one, that of the releases, then that of the report.
 class TableSwitch {
  public:
-  /// Has it told to the board how long the jobs that run here have had their XPUs by now. Any thread.
-  using TellTimes = std::function<void(std::int64_t now_ns)>;
   /// Null in a run without tables.
-  [[nodiscard]] static Result<std::unique_ptr<TableSwitch>> make(const Context& context,
-                                                                 Ledger& ledger,
-                                                                 TellTimes tell_times);
+  [[nodiscard]] static Result<std::unique_ptr<TableSwitch>> make(
+      const Context& context, Ledger& ledger, ScenarioWatch::TellTimes tell_times);
 
   /// Activations that are nominally released at `nominal_ns` of CLOCK_MONOTONIC are about to be, or those
   /// that were in part: gives them their table. Never waits.
@@ -88,45 +73,21 @@ class TableSwitch {
   void report(RunReport& into);
 
  private:
-  TableSwitch(const Context& context, Ledger& ledger, TellTimes tell_times);
-  /// True: what is in force does not hold. On the watch's thread.
-  [[nodiscard]] bool glance(const MachineState& machine);
-  void look(const MachineState& machine) XAUTO_REQUIRES(mutex_);
-  [[nodiscard]] std::pair<Choice, int> choose();
+  TableSwitch(const Context& context, Ledger& ledger, std::unique_ptr<ScenarioWatch> watch);
   void give_table(std::int64_t nominal_ns);
   void put(std::uint64_t from_us, int table);
-  std::int64_t change(std::uint64_t from_us, int from, const Choice& to, bool in_time);
+  std::int64_t change_table(std::uint64_t from_us, const Choice& to, bool in_time);
   void change_scenario(std::int64_t since_ns, const Choice& to);
   void tell(SwitchReport change, const Choice& choice);
-  [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const MachineState& machine)
-      XAUTO_REQUIRES(mutex_);
-  [[nodiscard]] const std::string& name_of(int xnode) const {
-    return context_.session.app.xnodes[static_cast<std::size_t>(xnode)].name;
-  }
-  [[nodiscard]] std::string words_of(const Passing& job) const;
-  [[nodiscard]] std::string words_of(const Choice& choice) const;
   [[nodiscard]] bool is_news(const Choice& choice, int from);
-  void take_past() XAUTO_REQUIRES(mutex_);
-  void judge_past() XAUTO_REQUIRES(mutex_);
 
   OneThread thread_;
   const Context& context_;
   Ledger& ledger_;
-  const TellTimes tell_times_;
   const Tables& tables_;
-  PiMutex mutex_;  ///< of the releases and the watch; nobody logs or waits under it
-  ScenarioChoice choice_ XAUTO_GUARDED_BY(mutex_);
-  std::vector<std::size_t> node_of_;  ///< [XNode] -> graph node
-  const ClaimedWcets claimed_;
-  /// Jobs past a WCET since the last choice, as XNodeLine has them.
-  struct Past {
-    std::uint64_t jobs = 0, longest = 0;
-  };
-  std::vector<Past> past_ XAUTO_GUARDED_BY(mutex_);            ///< [XNode]
-  std::vector<std::uint64_t> hangs_ XAUTO_GUARDED_BY(mutex_);  ///< [XNode] that were looked at
-  std::int64_t period_ns_ = 0;                                 ///< 0: none is stated
-  int table_ XAUTO_GUARDED_BY(mutex_) = 0;                     ///< in force
-  int scenario_ = 0;                                           ///< the one that was told
+  const std::unique_ptr<ScenarioWatch> watch_;
+  int table_ = 0;                 ///< in force
+  int scenario_ = 0;              ///< the one that was told
   int lost_ = -1;                 ///< the XPU that was last told to be lost
   bool told_outside_ = false;     ///< what was told last is that no scenario allows what was seen
   std::int64_t newest_ns_ = 0;    ///< latest nominal release so far
@@ -136,8 +97,6 @@ class TableSwitch {
   std::int64_t drains_from_ns_ = 0, drains_until_ns_ = 0;  ///< what is released there is left out
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;
-  OutsideLog outside_ XAUTO_GUARDED_BY(mutex_);
-  std::unique_ptr<ConditionWatch> conditions_;  ///< last: its thread uses the others
 };
 
 }  // namespace xauto::runtime

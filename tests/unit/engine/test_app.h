@@ -19,10 +19,9 @@
 
 #include "base/socket.h"
 #include "coord/server.h"
+#include "engine/engine.h"
 #include "graph/app_spec.h"
 #include "xpu/kind.h"
-
-#include "engine/engine.h"
 
 namespace xauto::runtime {
 

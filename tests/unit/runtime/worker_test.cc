@@ -311,11 +311,11 @@ TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
   ASSERT_TRUE(worker.start());
   std::thread driver([&] { EXPECT_TRUE(run(0)); });
   inside.get_future().wait();
-  const auto hung = worker.find_hung(now_ns() + 5'000'000);
+  const auto hung = worker.times().find_hung(now_ns() + 5'000'000);
   ASSERT_TRUE(hung);
   EXPECT_EQ(hung->placed->name, "a");
   EXPECT_EQ(hung->sequence, 0u);
-  EXPECT_FALSE(worker.find_hung(now_ns() + 6'000'000)) << "once is enough";
+  EXPECT_FALSE(worker.times().find_hung(now_ns() + 6'000'000)) << "once is enough";
   EXPECT_TRUE(worker.in_exec());
   leave.set_value();
   driver.join();
@@ -338,7 +338,8 @@ TEST_F(WorkerTest, AJobPastItsWcetIsToldBeforeItEndsAndCountedOnce) {
   std::thread driver([&] { EXPECT_TRUE(run(0)); });
   inside.get_future().wait();
   const std::int64_t now = now_ns();
-  for (const std::int64_t later_s : {1, 2, 9}) worker.tell_past_wcet(now + later_s * 1'000'000'000);
+  for (const std::int64_t later_s : {1, 2, 9})
+    worker.times().tell_past_wcet(now + later_s * 1'000'000'000);
   EXPECT_EQ(line.unended, 1u);
   EXPECT_GE(line.unended_ns, 8'900'000'000);
   EXPECT_EQ(line.unended_wcet_ns, 100'000'000);
@@ -350,7 +351,7 @@ TEST_F(WorkerTest, AJobPastItsWcetIsToldBeforeItEndsAndCountedOnce) {
   EXPECT_EQ(line.unended_ns, 0);
   EXPECT_EQ(line.over_wcet, 1u) << "what was told stays told";
   EXPECT_TRUE(run(1));
-  worker.tell_past_wcet(now_ns() + 9'000'000'000);
+  worker.times().tell_past_wcet(now_ns() + 9'000'000'000);
   EXPECT_TRUE(worker.stop());
   EXPECT_EQ(line.jobs, 2u);
   EXPECT_EQ(line.over_wcet, 1u) << "unless the machine stood still for 100 ms";
