@@ -106,7 +106,7 @@ style() {
 # take long there have none). CONTRIBUTING.md says what is left to `full`; so are three of UBSan's checks, which stand before each
 # access to memory: a quarter of what that build cost.
 release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared xauto_watch heavy_tests test_solver)
-threaded='base|trace|coord|emu|transport|processes|profile|grid|runtime|account|tables|releases|engine|launch|ros2'
+threaded='base|trace|coord|transport|processes|runtime'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
 # They mostly wait: a quarter of their time is work.
 integration() { local dir=$1 parallel=$((3 * jobs)); shift; tests "$dir" -L integration "$@"; }
@@ -145,6 +145,7 @@ fast() {
 # What takes long: every test in every build, each file compiled alone, every kernel, the explorer's largest worlds.
 full() {
   export XAUTO_FULL=1
+  threaded+='|emu|profile|launch|ros2'
   style
   build debug build-debug
   one "what \`make\` builds where only the group build is installed" \
