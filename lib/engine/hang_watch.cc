@@ -56,6 +56,7 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
     for (const auto& worker : wiring_.workers())
       if (worker->on_core()) on_cores.push_back(worker->times().thread_id());
     threads_ = std::make_unique<ThreadWatch>(std::move(on_cores));
+    foreign_ = std::make_unique<ForeignWatch>(context_.session, context_.board, role_.leads());
   }
   std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
@@ -90,6 +91,7 @@ void HangWatch::look_at_threads(std::int64_t now_ns) {
   looked_ns_ = now_ns;
   for (const auto& worker : wiring_.workers()) worker->tell_moved();
   threads_->look(now_ns);
+  foreign_->look(now_ns);
 }
 
 void HangWatch::report(RunReport& into) const {

@@ -8,6 +8,7 @@
 
 #include <xauto/result.h>
 
+#include "account/foreign_watch.h"
 #include "account/thread_watch.h"
 #include "base/thread_safety.h"
 #include "engine/run_role.h"
@@ -42,8 +43,9 @@ class HangWatch {
   const Context& context_;
   const Wiring& wiring_;
   RunRole& role_;
-  std::string note_;                      ///< of the watchdog's thread
-  std::unique_ptr<ThreadWatch> threads_;  ///< of the watchdog's thread; null: nothing is claimed
+  std::string note_;                       ///< of the watchdog's thread
+  std::unique_ptr<ThreadWatch> threads_;   ///< of the watchdog's thread; null: nothing is claimed
+  std::unique_ptr<ForeignWatch> foreign_;  ///< likewise
   std::int64_t asleep_since_ns_ = 0, looked_ns_ = 0;  ///< likewise
   std::unique_ptr<Watchdog> watchdog_;
 };

@@ -104,8 +104,13 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
   rt::set_thread_name("xauto/daemons");
   Daemons daemons(bin, notes_);
   UniqueFd file;
+  std::vector<UniqueFd> marks;
   const auto begin = [&]() -> Status {
-    XAUTO_ASSIGN(Sockets sockets, Sockets::open(socket_names(session)));
+    std::vector<std::string> names = socket_names(session);
+    const std::vector<std::string> of_xpus = runtime::marks_of(session);
+    names.insert(names.end(), of_xpus.begin(), of_xpus.end());
+    XAUTO_ASSIGN(Sockets sockets, Sockets::open(names));
+    for (const std::string& mark : of_xpus) marks.push_back(sockets.take(mark));
     XAUTO_TRY(daemons.start_emulator(session, sockets));
     emulator_ = daemons.emulator();
     if (session.scheduling != runtime::Scheduling::kXAuto) return {};

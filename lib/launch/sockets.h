@@ -12,10 +12,11 @@
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
+#include "processes/marks.h"
 
 namespace xauto::launch {
 
-inline constexpr const char* kSocketPrefix = "xauto/";
+using runtime::kSocketPrefix;
 
 class Sockets {
  public:

@@ -106,7 +106,10 @@ class Supervisor {
     std::vector<std::string> names = socket_names(session);
     if (runs) names.insert(names.end(), {kLiveName, kDeskName});
     if (has_hub) names.emplace_back(kHubName);
+    const std::vector<std::string> marks = runtime::marks_of(session);
+    names.insert(names.end(), marks.begin(), marks.end());
     XAUTO_ASSIGN(Sockets sockets, Sockets::open(names));
+    for (const std::string& mark : marks) marks_.push_back(sockets.take(mark));
     XAUTO_TRY(daemons_->start_emulator(session, sockets, request_.emulation));
     if (runs) {
       board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
@@ -436,7 +439,8 @@ class Supervisor {
   UniqueFd answer_, trace_, session_, board_fd_, live_;
   std::shared_ptr<const Board> board_;
   std::uint64_t shown_deaths_ = 0;
-  std::optional<Desk> desk_;  ///< none: it is no run
+  std::optional<Desk> desk_;     ///< none: it is no run
+  std::vector<UniqueFd> marks_;  ///< of real XPUs, until the run is over
   std::optional<Daemons> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;

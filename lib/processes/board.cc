@@ -7,6 +7,7 @@
 #include <new>
 
 #include <fcntl.h>
+#include <fmt/format.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -216,6 +217,47 @@ std::string XpuLine::slow_suspensions() const {
   return "suspending a job's work on " + line_name(name) + " and resuming it took up to " +
          std::to_string(suspend_us) + " us and " + std::to_string(resume_us) +
          " us; the platform file says preempt_us " + std::to_string(preempt_us);
+}
+
+namespace {
+
+constexpr std::uint32_t kBeingTold = 1, kTold = 2;
+
+/// The first one's words stay.
+void tell_once(std::atomic<std::uint32_t>& told, char (&field)[kBoardNameBytes],
+               const std::string& text) {
+  std::uint32_t nothing = 0;
+  if (!told.compare_exchange_strong(nothing, kBeingTold)) return;
+  name_line(field, text);
+  told.store(kTold, std::memory_order_release);
+}
+
+}  // namespace
+
+void XpuLine::tell_shared(const std::string& with) {
+  tell_once(shared, shared_with, with);
+}
+
+void XpuLine::tell_crowd(const std::string& by) {
+  tell_once(crowd_told, crowd_by, by);
+}
+
+std::string XpuLine::words_of_sharing() const {
+  if (shared.load(std::memory_order_acquire) != kTold) return {};
+  return line_name(name) + " does not serve this app alone: " + line_name(shared_with) +
+         " has it, too";
+}
+
+std::string XpuLine::words_of_crowd() const {
+  const std::uint64_t jobs = crowded.load();
+  if (jobs == 0) return {};
+  const bool known = crowd_told.load(std::memory_order_acquire) == kTold;
+  return fmt::format(
+      "on {} {} job{} kept to {} WCET, and others than this run had the core for up to {:.2f} ms "
+      "of {} time; {}",
+      line_name(name), jobs, jobs > 1 ? "s" : "", jobs > 1 ? "their" : "its",
+      static_cast<double>(crowded_ns.load()) * 1e-6, jobs > 1 ? "their" : "its",
+      known ? "seen there: " + line_name(crowd_by) : "who is not known");
 }
 
 std::string XNodeLine::words_of_moved() const {

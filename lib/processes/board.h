@@ -246,6 +246,22 @@ struct alignas(64) XpuLine {
   /// For how long jobs that ended had it, less what they were suspended for. On a real CPU, which the
   /// kernel takes away unseen, the CPU time of the threads that run jobs, told when they sleep.
   std::atomic<std::int64_t> busy_ns{};
+  /// On a real core: jobs that kept to their WCETs, and would not have with what others than this run's jobs took of
+  /// the core meanwhile; the most that these took of one; and who was seen there.
+  std::atomic<std::uint64_t> crowded{};
+  std::atomic<std::int64_t> crowded_ns{};
+  void crowd(std::int64_t others_ns) {
+    crowded.fetch_add(1, std::memory_order_relaxed);
+    keep_largest(crowded_ns, others_ns);
+  }
+  /// [H] of another run that has it, too. As `crowd_by` written once, and then told.
+  char shared_with[kBoardNameBytes] = {}, crowd_by[kBoardNameBytes] = {};
+  std::atomic<std::uint32_t> shared{}, crowd_told{};
+  void tell_shared(const std::string& with);
+  void tell_crowd(const std::string& by);
+  /// In words; empty: nobody else had it.
+  [[nodiscard]] std::string words_of_sharing() const;
+  [[nodiscard]] std::string words_of_crowd() const;
 };
 
 struct alignas(64) ProcessLine {

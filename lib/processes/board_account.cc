@@ -75,6 +75,24 @@ class Watched {
     });
   }
 
+  void others() {
+    std::vector<std::string> sharing, crowds;
+    std::uint64_t shared = 0, crowded = 0;
+    for (std::uint32_t x = 0; x < board_.shape().xpus; ++x) {
+      const XpuLine& line = board_.xpu(x);
+      if (std::string words = line.words_of_sharing(); !words.empty()) {
+        ++shared;
+        sharing.push_back(std::move(words));
+      }
+      if (std::string words = line.words_of_crowd(); !words.empty()) {
+        crowded += line.crowded.load();
+        crowds.push_back(std::move(words));
+      }
+    }
+    account_.add("xpu_shared", shared, std::move(sharing));
+    account_.add("core_taken", crowded, std::move(crowds));
+  }
+
   void scenarios() {
     const BoardHeader& header = board_.header();
     const std::uint64_t jobs = header.outside_jobs.load(), clocks = header.outside_clocks.load();
@@ -209,6 +227,7 @@ void add_assumptions(const Board& board, Account& account) {
   watched.set_up();
   watched.suspensions();
   watched.releases();
+  watched.others();
   watched.scenarios();
   watched.jobs();
   watched.processes();

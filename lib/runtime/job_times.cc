@@ -45,35 +45,37 @@ std::int64_t JobTimes::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
 /// Of a job on a real core, whom the kernel preempts unseen: all of its time but for what it waited in a
 /// run queue. A WCET was measured so, with nobody to wait for: an exec that sleeps for a lock or a file
 /// is on its core.
-std::int64_t JobTimes::on_core_ns(std::int64_t wall_ns, XNodeLine& line, std::int64_t& others_ns) {
+std::int64_t JobTimes::on_core_ns(std::int64_t wall_ns, XNodeLine& line, Without& without) {
   const std::int64_t since_ns = without_core_since_ns_.load();
   if (since_ns < 0) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
   const std::int64_t until_ns = rt::without_core_ns().value_or(since_ns);
-  tell_waited(until_ns, line);
-  others_ns = until_ns - since_ns;
-  return std::max<std::int64_t>(0, wall_ns - others_ns);
+  without.foreign_ns = tell_waited(until_ns, line);
+  without.core_ns = until_ns - since_ns;
+  return std::max<std::int64_t>(0, wall_ns - without.core_ns);
 }
 
 /// Since the job before, its wake-up included. Who is more urgent on its core has slept before it runs again,
 /// and told its CPU time then: what is left, nobody of this run had.
-void JobTimes::tell_waited(std::int64_t without_core_ns, XNodeLine& line) {
-  if (on_.counts == nullptr) return;
+std::int64_t JobTimes::tell_waited(std::int64_t without_core_ns, XNodeLine& line) {
+  if (on_.counts == nullptr) return 0;
   const std::int64_t others_ns = on_.counts->busy_ns.load() - cpu_told_ns_;
   const std::int64_t waited_ns =
       without_core_ns - std::exchange(waited_before_ns_, without_core_ns);
   const std::int64_t by_others_ns = others_ns - std::exchange(others_before_ns_, others_ns);
-  keep_largest(line.waited_ns, waited_ns - std::max<std::int64_t>(0, by_others_ns));
+  const std::int64_t foreign_ns = waited_ns - std::max<std::int64_t>(0, by_others_ns);
+  keep_largest(line.waited_ns, foreign_ns);
+  return std::max<std::int64_t>(0, foreign_ns);
 }
 
 std::int64_t JobTimes::end(const Placed& placed) {
-  std::int64_t others_ns = 0;
+  Without without;
   const std::int64_t now = now_ns();
   const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
   if (holds()) on_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
-  if (!placed.limited) return others_ns;
+  if (!placed.limited) return without.core_ns;
   const std::int64_t took_ns =
-      on_.on_thread ? on_core_ns(wall_ns, *placed.line, others_ns) : own_ns(wall_ns, now);
+      on_.on_thread ? on_core_ns(wall_ns, *placed.line, without) : own_ns(wall_ns, now);
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
   if (placed.watched) line.saw(took_ns, placed.table);
   line.jobs.fetch_add(1, std::memory_order_relaxed);
@@ -90,9 +92,13 @@ std::int64_t JobTimes::end(const Placed& placed) {
     else if (hang_ns == 0 || wall_ns <= hang_ns)  // else its XPU counts as lost
       line.past(charged_ns, placed.table);
   }
+  // Time that strangers take of the XPU is within the certificate as long as the job's WCET covers it, too.
+  if (wcet_ns > 0 && !placed.watched && charged_ns <= wcet_ns &&
+      charged_ns + without.foreign_ns > wcet_ns)
+    on_.counts->crowd(without.foreign_ns);
   if (told) line.ended();
   keep_largest(line.longest_ns, charged_ns);
-  return others_ns;
+  return without.core_ns;
 }
 
 /// Before it sleeps, where it costs no job anything.

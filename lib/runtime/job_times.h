@@ -63,9 +63,12 @@ class JobTimes {
  private:
   /// The XPU is held by jobs, and no CPU: for how long is counted.
   [[nodiscard]] bool holds() const { return on_.counts != nullptr && !on_.on_thread; }
-  [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns, XNodeLine& line,
-                                        std::int64_t& others_ns);
-  void tell_waited(std::int64_t without_core_ns, XNodeLine& line);
+  struct Without {
+    std::int64_t core_ns = 0;     ///< since it began: the kernel ran others there
+    std::int64_t foreign_ns = 0;  ///< since the job before: these were none of the run's
+  };
+  [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns, XNodeLine& line, Without& without);
+  std::int64_t tell_waited(std::int64_t without_core_ns, XNodeLine& line);
   [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
 

@@ -3,12 +3,13 @@
 """A run is told what its machine did instead of it, and what its own program did beside its XNodes."""
 import json
 import os
+import pathlib
 import subprocess
 import sys
 import tempfile
 import unittest
 
-from common import TESTAPP, testapp_files, xauto
+from common import TESTAPP, testapp_files, wait_for, xauto
 
 # Above every thread of a run, on one core: 40 ms it computes, 10 ms it does not.
 HOG = """import os, time
@@ -55,7 +56,35 @@ class Machine(unittest.TestCase):
         # By the kernel's count: some job waited for a tenth of such a time at least.
         self.assertGreater(self.taken(run, "the kernel ran neither it nor another XNode there"), 4_000, run["claims"]["time_taken"])
         self.assertNotIn(REPORT, out)
+        # With that time some job was longer than the claim takes for granted; and it says who was there.
+        self.assertGreater(self.count(run, "core_taken"), 0, run["claims"])
+        self.assertIn(f"python3 (pid {hog.pid}, SCHED_FIFO 98)", " ".join(run["claims"]["broken"]))
+
+    def count(self, run, kind):
+        return next((a["count"] for a in run["claims"]["assumptions"] if a["kind"] == kind), 0)
+
+    def test_another_run_has_the_same_cores(self):
+        """Two apps, each with claims of its own: neither stands, whoever came first. Emulated XPUs are nobody else's."""
+        second = os.path.join(self.folder, "second")
+        os.mkdir(second)
+        other = subprocess.Popen([os.environ["XAUTO_BIN"] + "/xauto", "run", *map(str, testapp_files(second)), "--seconds", "6", "--out",
+                                  second + "/report.json", "--", str(TESTAPP), second + "/result", "period", "5000"],
+                                 stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(other.kill)
+        wait_for("its mark", lambda: f"xauto/{other.pid}-0/" in (held := pathlib.Path("/proc/net/unix").read_text()) and "/real:core" in held, other)
+        self.assertRegex(xauto("doctor").stdout, rf"degraded +in use +.*run {other.pid}-0 of user \w+ has core\d")
+        run, out = self.run_app()
+        self.assertGreater(self.count(run, "xpu_shared"), 0, run["claims"])
+        self.assertRegex(" ".join(run["claims"]["broken"]),
+                         rf"cpu0 does not serve this app alone: run {other.pid}-0 of user \w+ has it, too")
+        self.assertIn(run["claims"]["verdict"], ("not claimed", "exceeded, not claimed"))
         self.assertNotIn(REPORT, out)
+        _, said = other.communicate(timeout=60)
+        self.assertEqual(other.returncode, 0, said)
+        theirs = json.loads(pathlib.Path(second, "report.json").read_text())["runs"][0]
+        self.assertGreater(self.count(theirs, "xpu_shared"), 0, theirs["claims"])
+        alone, _ = self.run_app()
+        self.assertEqual(self.count(alone, "xpu_shared"), 0)
 
     def test_an_exec_changes_how_its_thread_is_scheduled(self):
         run, out = self.run_app("batch", "A", 3)

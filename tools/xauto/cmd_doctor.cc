@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto doctor: what this machine offers, and what to do about each thing that is missing.
 #include <iostream>
+#include <map>
 #include <memory>
 
 #include <fmt/format.h>
@@ -8,6 +9,7 @@
 #include "kernel/probe.h"
 #include "model/json.h"
 #include "model/json_value.h"
+#include "processes/marks.h"
 #include "xpu/presence.h"
 
 #include "xauto/command.h"
@@ -21,10 +23,29 @@ Status write_platform(const std::string& path) {
   return write_file(path, to_json(platform_of(machine, "here")));
 }
 
+/// Runs that have real XPUs now: another one with the same would break their claims, and they its.
+kernel::Finding who_has_xpus() {
+  std::map<std::string, std::string> of_run;
+  for (const runtime::Holder& holder : runtime::holders({})) {
+    std::string& list = of_run[holder.words()];
+    list += (list.empty() ? "" : ", ") + holder.hardware;
+  }
+  kernel::Finding finding{"in use", kernel::Verdict::kOk, "no run has a real XPU", {}, {}};
+  finding.meaning = "a claim takes for granted that each XPU serves one app alone";
+  if (of_run.empty()) return finding;
+  finding.verdict = kernel::Verdict::kDegraded;
+  finding.found.clear();
+  for (const auto& [run, list] : of_run)
+    finding.found += (finding.found.empty() ? "" : "; ") + run + " has " + list;
+  finding.advice = "run an app with claims on other XPUs, or when these are over";
+  return finding;
+}
+
 Result<int> doctor(const std::string& platform_out, const Options& options) {
   if (!platform_out.empty()) XAUTO_TRY(write_platform(platform_out));
   using kernel::Verdict;
-  const auto findings = kernel::probe("", kernel::Permitted::of_this_process(), xpu::devices());
+  auto findings = kernel::probe("", kernel::Permitted::of_this_process(), xpu::devices());
+  findings.push_back(who_has_xpus());
   const auto word = [](Verdict v) {
     return v == Verdict::kOk ? "ok" : v == Verdict::kDegraded ? "degraded" : "missing";
   };

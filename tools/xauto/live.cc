@@ -11,6 +11,7 @@
 #include "base/log.h"
 #include "coord/protocol.h"
 #include "launch/supervisor.h"
+#include "processes/marks.h"
 #include "processes/parameters.h"
 
 #include "xauto/asking.h"
@@ -135,7 +136,7 @@ std::map<std::string, Coordinated> ask_coordinators(const std::string& run) {
   std::erase_if(sockets, [&](const RunSocket& at) {
     return (!run.empty() && at.run != run) || at.name == launch::kEmudName ||
            at.name == launch::kHubName || at.name == launch::kLiveName ||
-           at.name == launch::kDeskName;
+           at.name == launch::kDeskName || at.name.starts_with(runtime::kMark);
   });
   const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
   const std::string question(reinterpret_cast<const char*>(&kind), sizeof kind);

@@ -14,6 +14,7 @@
 #include "base/log.h"
 #include "kernel/probe.h"
 #include "model/json.h"
+#include "processes/marks.h"
 
 #include "xauto/command.h"
 #include "xauto/counts.h"
@@ -192,7 +193,21 @@ void PolicyRun::take(Policy made) {
   if (!made.by_priority()) keys = std::move(made);
 }
 
+namespace {
+
+/// What the run's account says later is worth knowing before.
+void warn_of_others(const RunFlags& flags) {
+  const std::vector<std::string> ours = runtime::hardware_of(flags.spec, flags.presence);
+  for (const runtime::Holder& holder : runtime::holders({}))
+    if (std::find(ours.begin(), ours.end(), holder.hardware) != ours.end())
+      log::warn("{} has {}, too: nothing that is claimed of either run stands", holder.words(),
+                holder.hardware);
+}
+
+}  // namespace
+
 Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop, Dump dump) {
+  if (run.scheduling == runtime::Scheduling::kXAuto) warn_of_others(flags);
   launch::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kRun;

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "account/foreign_watch.h"
+
+#include <filesystem>
+#include <fstream>
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include "base/socket.h"
+#include "processes/marks.h"
+
+namespace xauto::runtime {
+namespace {
+
+/// A /proc with threads of that name, state, last core and policy (proc(5), fields 2, 3, 39 to 41).
+class Proc {
+ public:
+  Proc()
+      : folder_(std::filesystem::path(::testing::TempDir()) /
+                ("xauto_proc." + std::to_string(getpid()))) {}
+  ~Proc() { std::filesystem::remove_all(folder_); }
+  Proc(const Proc&) = delete;
+  Proc& operator=(const Proc&) = delete;
+  void add(int process, int thread, const std::string& name, char state, int core, int priority,
+           int policy) {
+    const auto task = folder_ / std::to_string(process) / "task" / std::to_string(thread);
+    std::filesystem::create_directories(task);
+    std::ofstream file(task / "stat");
+    file << thread << " (" << name << ") " << state;
+    for (int field = 4; field < 39; ++field) file << " 0";
+    file << " " << core << " " << priority << " " << policy << " 0 0 0\n";
+  }
+  [[nodiscard]] std::string path() const { return folder_.string(); }
+
+ private:
+  std::filesystem::path folder_;
+};
+
+using Names = std::vector<std::string>;
+
+TEST(ForeignWatch, NamesWhoCanRunOnTheCore) {
+  Proc proc;
+  proc.add(10, 10, "sleeper", 'S', 3, 0, 0);
+  proc.add(11, 11, "elsewhere", 'R', 2, 0, 0);
+  proc.add(12, 13, "a) R 3 (b", 'R', 3, 0, 0);  // a name may be anything
+  proc.add(14, 14, "ours", 'R', 3, 50, 1);
+  EXPECT_EQ(runners_on(3, 14, proc.path()).names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
+  EXPECT_FALSE(runners_on(3, 14, proc.path()).realtime);
+  proc.add(15, 15, "hog", 'R', 3, 99, 1);
+  const Runners there = runners_on(3, 14, proc.path());
+  EXPECT_EQ(
+      there.names,
+      (Names{"hog (pid 15, SCHED_FIFO 99)"}));  // nobody else takes a core from real-time threads
+  EXPECT_TRUE(there.realtime);
+  EXPECT_TRUE(runners_on(7, 14, proc.path()).names.empty());
+  EXPECT_TRUE(runners_on(3, 14, proc.path() + "/none").names.empty());
+}
+
+TEST(ForeignWatch, NamesAreShownSafely) {
+  Proc proc;
+  proc.add(1, 1, "\x1b[2J", 'R', 0, 0, 0);
+  EXPECT_EQ(runners_on(0, 0, proc.path()).names, (Names{"\\x1b[2J (pid 1, SCHED_OTHER)"}));
+}
+
+TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
+  Session session;
+  session.platform = Platform{"p", {{"cpu0", "cpu"}, {"gpu0", "gpu"}, {"dla0", "dla"}}};
+  session.presence = {Presence::kReal, Presence::kReal, Presence::kEmulated};
+  session.coordinators["gpu0"] = "xauto/1-0/aa/gpu0";
+  const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 3});
+  const std::string core = hardware_of(session.platform, session.presence)[0];
+  const std::string run = std::to_string(getpid()) + "-77";
+  const auto listen = [](const std::string& name) {
+    auto socket = listen_abstract(name);
+    EXPECT_TRUE(socket) << socket.error().to_string();
+    return std::move(*socket);
+  };
+  const UniqueFd own = listen("xauto/1-0/aa/real:gpu0"),
+                 emulated = listen("xauto/" + run + "/bb/real:dla0"),
+                 theirs = listen("xauto/" + run + "/bb/real:" + core);
+  ForeignWatch watch(session, *board, true);
+  watch.look(2'000'000'000);
+  EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of user "), std::string::npos);
+  EXPECT_EQ(board->xpu(1).words_of_sharing(), "");  // it is ours
+  EXPECT_EQ(board->xpu(2).words_of_sharing(), "");  // ours is emulated
+}
+
+}  // namespace
+}  // namespace xauto::runtime
