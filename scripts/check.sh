@@ -98,6 +98,7 @@ style() {
   one "the kernel side's style" scripts/check-kernel-style.sh
   one "paths named in the docs exist" scripts/check-doc-paths.sh
   one "Markdown lines of at most 120 columns" scripts/check-doc-lines.py
+  one "functions of at most 80 lines" scripts/check-function-length.py
   one "the API is documented (doxygen)" scripts/check-api-docs.sh
   one "clang-tidy, of what changed" scripts/check-tidy.sh
 }

@@ -360,121 +360,153 @@ Status check_input(const TwoTables& tables, std::int64_t most_jobs) {
   return {};
 }
 
+/// The larger WCETs, and until when each job of either table has started.
+Result<Both> both_of(const World& p, const World& q, const World& larger) {
+  for (std::size_t i = 0; i < p.wcet.size(); ++i)
+    if (larger.wcet[i] < p.wcet[i])
+      return fail(ErrorCode::kInvalid, "its larger WCET is less than that of one table",
+                  "XNode '" + p.name(static_cast<int>(i)) + "'");
+  Both both{p, q, larger.wcet, {}};
+  for (std::size_t i = 0; i < p.wcet.size(); ++i) {
+    both.latest_start.push_back(0);
+    for (const World* w : {&p, &q})
+      for (const Window& window : w->windows[i])
+        both.latest_start[i] = std::max(both.latest_start[i], window.e);
+  }
+  return both;
+}
+
+/// What is claimed of a chain where nothing changes.
+struct Settled {
+  std::int64_t of_both_us = 0;   ///< the longer of both tables' own
+  std::int64_t of_first_us = 0;  ///< the first one's
+};
+Result<std::vector<Settled>> settled_of(const World& p, const World& q, std::size_t chains) {
+  std::vector<Settled> settled(chains);
+  for (std::size_t k = 0; k < chains; ++k) {
+    XAUTO_ASSIGN(const ChainProof under_p, derive_chain(p, k, false));
+    XAUTO_ASSIGN(const ChainProof under_q, derive_chain(q, k, false));
+    settled[k] = {std::max(under_p.derived_us, under_q.derived_us), under_p.derived_us};
+  }
+  return settled;
+}
+
+/// A chain, and where it leads.
+struct Followed {
+  Chain chain;
+  std::set<int> clocks;
+  bool too_many = false;  ///< ways
+  Ticks settled_first = 0;
+};
+std::vector<Followed> chains_of(const World& p, const AppSpec& app,
+                                const std::vector<Settled>& settled) {
+  std::vector<Followed> found;
+  for (std::size_t k = 0; k < app.chains.size(); ++k) {
+    const Ways ways(p, app.chains[k]);
+    found.push_back({ways.too_many() ? Chain{k, {}, {}, 0} : cut(p, k, ways), ways.clocks(),
+                     ways.too_many(), settled[k].of_first_us * p.scale});
+    found.back().chain.worst = settled[k].of_both_us * p.scale;
+  }
+  return found;
+}
+
+/// What a change does to what is on one clock.
+struct OnClock {
+  std::string why_not;  ///< empty: it is known
+  std::int64_t settles_us = 0;
+};
+OnClock change_on(const Both& both, const AppSpec& app, int number, Ticks notice, Budget& budget,
+                  std::vector<Followed>& chains) {
+  const ClockSpec& clock = app.clocks[at(number)];
+  const auto hyperperiod = hyperperiod_of(both, number);
+  if (!hyperperiod) return {};
+  if (std::string shares = who_shares(both, app, number); !shares.empty())
+    return {std::move(shares)};
+  if (*hyperperiod == 0)
+    return {fmt::format("the hyperperiod of clock '{}' does not fit", clock.name)};
+  const Drift drift{clock.ppm};
+  std::vector<Part*> parts;
+  bool done = true;
+  for (Followed& of : chains)
+    for (Part& part : of.chain.parts) {
+      if (part.clock != number) continue;
+      parts.push_back(&part);
+      // A way on one clock is in the chain's own worst cases.
+      if (part.source >= 0 && part.last == app.chains[of.chain.index].to)
+        part.alone = drift.longest(of.settled_first);
+      else
+        done = done && follow_alone(both, *hyperperiod, budget.jobs, part);
+    }
+  Ticks settles = 0;
+  if (!done || !walk_clock(both, number, *hyperperiod, notice, budget, parts, settles))
+    return {fmt::format("clock '{}' takes more jobs than are looked at, or does not settle",
+                        clock.name)};
+  return {{}, both.p.us_up(most(settles, clock.ppm))};
+}
+
+/// Its ways, with the longest that each part of them takes.
+Ticks worst_of(const Chain& chain, const AppSpec& app) {
+  Ticks worst = chain.worst;
+  for (const auto& way : chain.ways) {
+    Ticks sum = 0;
+    for (const std::size_t part : way)
+      sum += most(chain.parts[part].worst, app.clocks[at(chain.parts[part].clock)].ppm);
+    worst = std::max(worst, sum);
+  }
+  return worst;
+}
+
+void prove(const Followed& of, const AppSpec& app, const std::vector<OnClock>& clocks,
+           const World& p, HandoverProof& proof) {
+  const std::size_t k = of.chain.index;
+  std::string why = of.too_many ? "it has too many ways" : "";
+  for (const int clock : of.clocks) {
+    proof.chain_settles_us[k] = std::max(proof.chain_settles_us[k], clocks[at(clock)].settles_us);
+    if (why.empty()) why = clocks[at(clock)].why_not;
+  }
+  if (why.empty())
+    proof.worst_case_us[k] = p.us_up(worst_of(of.chain, app));
+  else
+    proof.why_not.push_back(fmt::format("chain '{}': {}", app.chains[k].name, why));
+}
+
 }  // namespace checking::tables
 
 Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most_jobs) {
   namespace own = checking::tables;
   XAUTO_TRY(own::check_input(tables, most_jobs));
-  const AppSpec& app_from = tables.app_from;
+  const AppSpec& app = tables.app_from;
   const Policy from_both = own::meant_for(tables.from, tables.app_both);
-  XAUTO_ASSIGN(checking::World p, checking::derive(app_from, tables.platform, tables.from));
+  XAUTO_ASSIGN(checking::World p, checking::derive(app, tables.platform, tables.from));
   XAUTO_ASSIGN(checking::World q, checking::derive(tables.app_to, tables.platform, tables.to));
   XAUTO_ASSIGN(checking::World larger,
                checking::structure(tables.app_both, tables.platform, from_both, true));
-  // [chain] the longer of both tables' own, and p's; 0 beside urgent releases.
-  std::vector<std::pair<std::int64_t, std::int64_t>> settled_us(app_from.chains.size());
-  const bool urgent = std::ranges::any_of(app_from.sources,
-                                          [](const SourceSpec& s) { return s.urgent.has_value(); });
-  for (std::size_t k = 0; k < app_from.chains.size() && !urgent; ++k) {
-    XAUTO_ASSIGN(const ChainProof under_p, checking::derive_chain(p, k, false));
-    XAUTO_ASSIGN(const ChainProof under_q, checking::derive_chain(q, k, false));
-    settled_us[k] = {std::max(under_p.derived_us, under_q.derived_us), under_p.derived_us};
+  HandoverProof proof;
+  proof.worst_case_us.resize(app.chains.size());
+  proof.chain_settles_us.resize(app.chains.size());
+  const bool urgent =
+      std::ranges::any_of(app.sources, [](const SourceSpec& s) { return s.urgent.has_value(); });
+  std::vector<own::Settled> settled;
+  if (!urgent) {
+    XAUTO_ASSIGN(settled, own::settled_of(p, q, app.chains.size()));
   }
   const std::int64_t scale = std::min({p.scale, q.scale, larger.scale});
   for (checking::World* w : {&p, &q, &larger}) own::coarsen(*w, scale);
-  for (std::size_t i = 0; i < p.wcet.size(); ++i)
-    if (larger.wcet[i] < p.wcet[i])
-      return fail(ErrorCode::kInvalid, "its larger WCET is less than that of one table",
-                  "XNode '" + p.name(static_cast<int>(i)) + "'");
-  own::Both both{p, q, larger.wcet, {}};
-  for (std::size_t i = 0; i < p.wcet.size(); ++i) {
-    both.latest_start.push_back(0);
-    for (const checking::World* w : {&p, &q})
-      for (const checking::Window& window : w->windows[i])
-        both.latest_start[i] = std::max(both.latest_start[i], window.e);
-  }
-
-  HandoverProof proof;
-  proof.worst_case_us.resize(app_from.chains.size());
-  proof.chain_settles_us.resize(app_from.chains.size());
-  const auto nothing = [&](std::size_t chain, const std::string& why) {
-    proof.worst_case_us[chain].reset();
-    proof.why_not.push_back(fmt::format("chain '{}': {}", tables.app_from.chains[chain].name, why));
-  };
+  XAUTO_ASSIGN(const own::Both both, own::both_of(p, q, larger));
   if (urgent) {
-    for (std::size_t k = 0; k < app_from.chains.size(); ++k)
-      nothing(k, "the app has urgent releases");
+    for (const ChainSpec& chain : app.chains)
+      proof.why_not.push_back(fmt::format("chain '{}': the app has urgent releases", chain.name));
     return proof;
   }
-  std::vector<own::Chain> chains;
-  std::vector<std::set<int>> passes;  // [chain] clocks
-  std::vector<char> too_many;
-  for (std::size_t k = 0; k < app_from.chains.size(); ++k) {
-    const own::Ways ways(p, app_from.chains[k]);
-    too_many.push_back(ways.too_many());
-    passes.push_back(ways.clocks());
-    chains.push_back(ways.too_many() ? own::Chain{k, {}, {}, 0} : own::cut(p, k, ways));
-    chains.back().worst = settled_us[k].first * p.scale;
-  }
+  std::vector<own::Followed> chains = own::chains_of(p, app, settled);
   own::Budget budget{most_jobs};
-  std::vector<std::string> why(app_from.clocks.size());
-  std::vector<std::int64_t> settles_us(app_from.clocks.size(), 0);
-  for (std::size_t clock = 0; clock < app_from.clocks.size(); ++clock) {
-    const auto number = static_cast<int>(clock);
-    const std::string& name = app_from.clocks[clock].name;
-    const auto hyperperiod = own::hyperperiod_of(both, number);
-    if (!hyperperiod) continue;
-    why[clock] = own::who_shares(both, app_from, number);
-    if (!why[clock].empty()) continue;
-    if (*hyperperiod == 0) {
-      why[clock] = fmt::format("the hyperperiod of clock '{}' does not fit", name);
-      continue;
-    }
-    const own::Drift drift{app_from.clocks[clock].ppm};
-    std::vector<own::Part*> parts;
-    bool done = true;
-    for (own::Chain& chain : chains)
-      for (own::Part& part : chain.parts) {
-        if (part.clock != number) continue;
-        parts.push_back(&part);
-        // A way on one clock is in the chain's own worst cases.
-        if (part.source >= 0 && part.last == app_from.chains[chain.index].to)
-          part.alone = drift.longest(settled_us[chain.index].second * p.scale);
-        else
-          done = done && own::follow_alone(both, *hyperperiod, budget.jobs, part);
-      }
-    checking::Ticks settles = 0;
-    if (!done || !own::walk_clock(both, number, *hyperperiod, tables.notice_us * p.scale, budget,
-                                  parts, settles))
-      why[clock] =
-          fmt::format("clock '{}' takes more jobs than are looked at, or does not settle", name);
-    else
-      settles_us[clock] = p.us_up(checking::most(settles, drift.ppm));
+  std::vector<own::OnClock> clocks;
+  for (std::size_t clock = 0; clock < app.clocks.size(); ++clock) {
+    clocks.push_back(own::change_on(both, app, static_cast<int>(clock), tables.notice_us * p.scale,
+                                    budget, chains));
+    proof.settles_us = std::max(proof.settles_us, clocks.back().settles_us);
   }
-  for (const std::int64_t of_clock : settles_us)
-    proof.settles_us = std::max(proof.settles_us, of_clock);
-  for (const own::Chain& chain : chains) {
-    for (const int clock : passes[chain.index])
-      proof.chain_settles_us[chain.index] =
-          std::max(proof.chain_settles_us[chain.index], settles_us[at(clock)]);
-    const auto failed = std::ranges::find_if(passes[chain.index],
-                                             [&](int clock) { return !why[at(clock)].empty(); });
-    if (too_many[chain.index]) {
-      nothing(chain.index, "it has too many ways");
-    } else if (failed != passes[chain.index].end()) {
-      nothing(chain.index, why[at(*failed)]);
-    } else {
-      checking::Ticks worst = chain.worst;
-      for (const auto& way : chain.ways) {
-        checking::Ticks sum = 0;
-        for (const std::size_t part : way)
-          sum += checking::most(chain.parts[part].worst,
-                                app_from.clocks[at(chain.parts[part].clock)].ppm);
-        worst = std::max(worst, sum);
-      }
-      proof.worst_case_us[chain.index] = p.us_up(worst);
-    }
-  }
+  for (const own::Followed& of : chains) own::prove(of, app, clocks, p, proof);
   return proof;
 }
 

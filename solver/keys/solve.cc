@@ -271,6 +271,222 @@ struct Round {
   }
 };
 
+/// What ends when, of the time limit.
+struct Times {
+  Times(const Options& options, TimePoint began)
+      : limit_s(std::clamp(options.time_limit_s, 0.0, kNoLimitS)),
+        all{later(began, limit_s), options.stop},
+        first_bounds(all),
+        search(all),
+        finish(all) {
+    first_bounds.deadline = std::min(all.deadline, later(began, limit_s * kForFirstBounds));
+    if (!limited()) return;
+    // The last of the time is for finer bounds.
+    search.deadline =
+        std::max(first_bounds.deadline,
+                 later(began, limit_s - std::min(kForFinerBounds * limit_s, kForFinerBoundsS) -
+                                  std::min(kForHolds * limit_s, kForHoldsS)));
+    finish.deadline = later(finish.deadline, std::max(kToFinish * limit_s, kToFinishS));
+  }
+  [[nodiscard]] bool limited() const { return limit_s < kNoLimitS; }
+  /// For what limits the other chains, of what is left for the search.
+  [[nodiscard]] Until least() const {
+    Until until = all;
+    if (!limited()) return until;
+    const TimePoint from = std::min(search.deadline, std::chrono::steady_clock::now());
+    until.deadline = from + std::chrono::duration_cast<TimePoint::duration>(
+                                kForLeast * (search.deadline - from));
+    return until;
+  }
+  [[nodiscard]] Until holds() const {
+    Until until{std::max(search.deadline, std::chrono::steady_clock::now())};
+    if (limited())
+      until.deadline =
+          later(until.deadline, std::clamp(kForHolds * limit_s, kForHoldsAtLeastS, kForHoldsS));
+    return until;
+  }
+
+  double limit_s;
+  Until all, first_bounds, search, finish;
+};
+
+/// One call of `solve`, from the first bounds on.
+class Solving {
+ public:
+  Solving(const AppSpec& app, const Platform& platform, const Options& options, TimePoint began,
+          Problem problem)
+      : app_(app),
+        platform_(platform),
+        options_(options),
+        began_(began),
+        times_(options, began),
+        p_(std::move(problem)),
+        round_{options, [this] { return elapsed_s(); }} {}
+
+  Result<Answer> run() {
+    reference_ = lower_bounds(p_, app_, platform_, options_.wishes, 0, times_.first_bounds);
+    for (const Tick t : reference_) answer_.lower_bound_us.push_back(us_above(p_, t));
+    bounds_ = reference_;
+    for_least_ = times_.least();
+    // First the plans of one release, each with its order; then what has none.
+    XAUTO_ASSIGN(begins_, seeds_of(app_, platform_, p_, options_, times_.limit_s));
+    least_of_all_ = begins_.bound == 0 ? 0
+                                       : static_cast<double>(begins_.bound) /
+                                             static_cast<double>(p_.chains.front().by);
+    for (const Seed& seed : begins_.seeds) search_around(seed);
+    if (options_.method != "auto" && !planned_)
+      return std::move(answer_);  // nobody asked for another plan
+    // Of a release that is alone nothing is left to look for where its plan is the shortest.
+    const bool shortest = planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
+                          (planned_->best().figures.largest <= least_of_all_ * kSameBound ||
+                           options_.method != "auto");
+    if (planned_ && !shortest && times_.limited()) prove(part_of(times_.search, kForProof));
+    const Incumbents found = shortest ? search_around_shortest() : search_all();
+    answer_.evaluations = round_.evaluations;
+    std::optional<Candidate> best;
+    if (found.any()) {
+      best = found.best();
+      drop_holds(of(), best->decision.xpu, best->figures.w, times_.holds());
+    }
+    tell_bounds(found, shortest);
+    if (found.any())
+      tell_policy(*best, found.least());
+    else
+      tell_unsustainable(prove_unpackable(p_, kLastLooks, times_.finish));
+    return std::move(answer_);
+  }
+
+ private:
+  [[nodiscard]] double elapsed_s() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
+  }
+  /// What the best has been found of.
+  [[nodiscard]] const Problem& of() const { return seed_ == nullptr ? p_ : seed_->problem; }
+  /// A tick, as figures have it, in these.
+  [[nodiscard]] double unit() const { return p_.deadlines ? 1 : static_cast<double>(p_.scale); }
+
+  /// For keys that keep its placement and order.
+  void search_around(const Seed& seed) {
+    Until brief = part_of(times_.search, kForPlans);
+    Until to_evaluate = times_.finish;
+    if (app_.one_at_a_time && times_.limited()) {
+      brief.deadline =
+          std::min(brief.deadline, later(std::chrono::steady_clock::now(), kAroundOnlyPlanS));
+      if (brief.over()) {
+        // Its plan took all the time, or somebody stopped it: the plan is what there is, once it is certified.
+        brief = {later(std::chrono::steady_clock::now(), kAroundOnlyPlanS)};
+        to_evaluate = {later(std::chrono::steady_clock::now(), kToEvaluateS)};
+      }
+    }
+    const std::int64_t budget =
+        options_.max_evaluations == 0
+            ? 0
+            : std::max<std::int64_t>(
+                  1, static_cast<std::int64_t>(kForPlans *
+                                               static_cast<double>(options_.max_evaluations)));
+    Incumbents with = round_.search(seed.problem, reference_, &seed.policy, Keep::kPlacement,
+                                    {brief, to_evaluate, budget, brief, {}});
+    if (!with.any() || (planned_ && !planned_->improved_by(with.best().figures))) return;
+    planned_ = std::move(with);
+    seed_ = &seed;
+  }
+
+  /// What is proven meanwhile may end the search, and does nothing else: a proof's time depends on the machine.
+  void prove(const Until& until) {
+    const std::vector<Tick> finer =
+        lower_bounds(p_, app_, platform_, options_.wishes, kMostCases, until);
+    for (std::size_t c = 0; c < finer.size(); ++c) bounds_[c] = std::max(bounds_[c], finer[c]);
+  }
+
+  /// It may be as short with less for the other chains.
+  Incumbents search_around_shortest() {
+    Incumbents found = *planned_;
+    if (options_.method != "auto" || !times_.limited()) return found;
+    const Until around{later(std::chrono::steady_clock::now(),
+                             std::min(kAroundOnlyPlanS, kForPlans * times_.limit_s)),
+                       options_.stop};
+    const Policy* from = options_.hint != nullptr ? options_.hint : &seed_->policy;
+    const Incumbents free =
+        round_.search(p_, reference_, from, Keep::kNothing,
+                      {around, times_.finish, options_.max_evaluations, around, {}});
+    if (free.any() && found.add(free.best())) seed_ = nullptr;
+    return found;
+  }
+
+  Incumbents search_all() {
+    if (planned_ && options_.keep == Keep::kNothing && at_bounds(p_, planned_->best(), bounds_))
+      return *planned_;
+    Incumbents free =
+        round_.search(p_, reference_, options_.hint, options_.keep,
+                      {times_.search, times_.finish, options_.max_evaluations, for_least_, {}});
+    if (!planned_) return free;
+    // Of equal ones that with order: it waits for jobs, and not for the clock.
+    Incumbents found = *planned_;
+    for (const Candidate* one : {&free.least(), &free.best()})
+      if (found.add(*one)) seed_ = nullptr;
+    return found;
+  }
+
+  /// What is left of the time makes them better.
+  void tell_bounds(const Incumbents& found, bool shortest) {
+    Until finer = times_.all;
+    if (shortest && times_.limited()) finer = part_of(finer, kForPlans);
+    if (p_.chains.size() == 1) bounds_[0] = std::max(bounds_[0], begins_.bound);
+    if (!found.any() || !at_bounds(p_, found.best(), bounds_)) prove(part_of(finer, kForChains));
+    for (std::size_t c = 0; c < bounds_.size(); ++c)
+      answer_.lower_bound_us[c] = us_above(p_, bounds_[c]);
+    // First what was asked for.
+    for (const bool sum :
+         options_.aim == Aim::kLargest ? std::array{false, true} : std::array{true, false})
+      (sum ? answer_.bounds.sum : answer_.bounds.largest) =
+          objective_bound(p_, bounds_, sum, kMostCasesOfAll, finer) / unit();
+    answer_.bounds.largest = std::max(answer_.bounds.largest, least_of_all_ / unit());
+  }
+
+  void tell_unsustainable(std::optional<OverloadProof> proof) {
+    if (!proof) return;
+    answer_.outcome = Outcome::kUnsustainable;
+    answer_.overload = std::move(*proof);
+  }
+
+  /// `least`: of all that were found what has the least of the largest.
+  void tell_policy(Candidate& best, const Candidate& least) {
+    answer_.outcome = Outcome::kPolicy;
+    // Predicted times are those of one schedule; domains that share XPUs have none in common.
+    const bool predicted =
+        p_.domains.size() == 1 && !p_.any_urgent &&
+        predict(of(), best.decision.xpu, best.figures.w, best.figures.schedule, times_.finish);
+    answer_.policy = policy_of(app_, platform_, of(), best, predicted, answer_.lower_bound_us);
+    if (seed_ != nullptr) {
+      answer_.policy.order = seed_->policy.order;
+      answer_.policy.method = seed_->policy.method;
+    }
+    answer_.totals = totals_of(app_, worst_cases(answer_.policy));
+    answer_.least_largest = std::min(answer_.totals.largest, least.figures.largest / unit());
+    answer_.policy.solve_ms = static_cast<std::int64_t>(elapsed_s() * 1e3);
+    answer_.first_answer_ms = round_.first_ms;
+    for (int i = 0; options_.hint != nullptr && i < p_.num_xnodes; ++i) {
+      const int was = options_.hint->placements[at(i)].xpu;
+      if (was >= 0 && was != answer_.policy.placements[at(i)].xpu) answer_.moved.push_back(i);
+    }
+  }
+
+  const AppSpec& app_;
+  const Platform& platform_;
+  const Options& options_;
+  const TimePoint began_;
+  const Times times_;
+  const Problem p_;
+  Round round_;
+  std::vector<Tick> reference_, bounds_;  ///< [chain] at first; by now
+  Until for_least_;
+  Seeds begins_;
+  double least_of_all_ = 0;  ///< no policy has less for its largest
+  std::optional<Incumbents> planned_;
+  const Seed* seed_ = nullptr;  ///< of begins_, whose order the best has; null: it has none
+  Answer answer_;
+};
+
 }  // namespace
 
 Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
@@ -291,14 +507,11 @@ Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) 
 
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
   const TimePoint began = std::chrono::steady_clock::now();
-  const auto elapsed = [&] {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
-  };
   XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes));
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
-  Answer answer;
   // Releases that wait for each other leave time for any: validate(AppSpec) refuses longer ones.
   if (std::optional<OverloadProof> proof = app.one_at_a_time ? std::nullopt : prove_overload(p)) {
+    Answer answer;
     answer.outcome = Outcome::kUnsustainable;
     answer.overload = std::move(*proof);
     return answer;
@@ -307,157 +520,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     return fail(ErrorCode::kInvalid,
                 "plans one release, and the sources of '" + app.name + "' have rates",
                 "method " + options.method, "leave it out");
-  const double limit = std::clamp(options.time_limit_s, 0.0, kNoLimitS);
-  const Until until{
-      began + std::chrono::duration_cast<TimePoint::duration>(std::chrono::duration<double>(limit)),
-      options.stop};
-  Until for_bounds = until;
-  for_bounds.deadline =
-      std::min(until.deadline, began + std::chrono::duration_cast<TimePoint::duration>(
-                                           std::chrono::duration<double>(limit * kForFirstBounds)));
-  const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
-  for (const Tick t : reference) answer.lower_bound_us.push_back(us_above(p, t));
-
-  // The last of the time is for finer bounds.
-  Until for_search = until, for_finer = until;
-  if (limit < kNoLimitS)
-    for_search.deadline = std::max(
-        for_bounds.deadline,
-        began + std::chrono::duration_cast<TimePoint::duration>(std::chrono::duration<double>(
-                    limit - std::min(kForFinerBounds * limit, kForFinerBoundsS) -
-                    std::min(kForHolds * limit, kForHoldsS))));
-
-  Until for_least = until;
-  if (limit < kNoLimitS) {
-    const TimePoint from = std::min(for_search.deadline, std::chrono::steady_clock::now());
-    for_least.deadline = from + std::chrono::duration_cast<TimePoint::duration>(
-                                    kForLeast * (for_search.deadline - from));
-  }
-
-  Until to_finish = until;
-  if (limit < kNoLimitS)
-    to_finish.deadline += std::chrono::duration_cast<TimePoint::duration>(
-        std::chrono::duration<double>(std::max(kToFinish * limit, kToFinishS)));
-
-  // First the plans of one release, each with its order; then what has none.
-  XAUTO_ASSIGN(const Seeds begins, seeds_of(app, platform, p, options, limit));
-  const auto& [seeds, bound] = begins;
-  const double least_of_all =
-      bound == 0 ? 0 : static_cast<double>(bound) / static_cast<double>(p.chains.front().by);
-  Round round{options, elapsed};
-  std::optional<Incumbents> planned;
-  const Seed* seed = nullptr;
-  for (const Seed& one : seeds) {
-    Until brief = part_of(for_search, kForPlans);
-    Until to_evaluate = to_finish;
-    if (app.one_at_a_time && limit < kNoLimitS)
-      brief.deadline =
-          std::min(brief.deadline, later(std::chrono::steady_clock::now(), kAroundOnlyPlanS));
-    if (app.one_at_a_time && limit < kNoLimitS && brief.over()) {
-      // Its plan took all the time, or somebody stopped it: the plan is what there is, once it is certified.
-      brief = {later(std::chrono::steady_clock::now(), kAroundOnlyPlanS)};
-      to_evaluate = {later(std::chrono::steady_clock::now(), kToEvaluateS)};
-    }
-    const std::int64_t budget =
-        options.max_evaluations == 0
-            ? 0
-            : std::max<std::int64_t>(
-                  1, static_cast<std::int64_t>(kForPlans *
-                                               static_cast<double>(options.max_evaluations)));
-    Incumbents with = round.search(one.problem, reference, &one.policy, Keep::kPlacement,
-                                   {brief, to_evaluate, budget, brief, {}});
-    if (!with.any() || (planned && !planned->improved_by(with.best().figures))) continue;
-    planned = std::move(with);
-    seed = &one;
-  }
-  if (options.method != "auto" && !planned) return answer;  // nobody asked for another plan
-  // What is proven meanwhile may end it, and does nothing else: a proof's time depends on the machine.
-  std::vector<Tick> bounds = reference;
-  const auto prove = [&](const Until& in) {
-    const std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, in);
-    for (std::size_t c = 0; c < finer.size(); ++c) bounds[c] = std::max(bounds[c], finer[c]);
-  };
-  // Of a release that is alone nothing is left to look for where its plan is the shortest.
-  const bool shortest =
-      planned && app.one_at_a_time && options.aim == Aim::kLargest &&
-      (planned->best().figures.largest <= least_of_all * kSameBound || options.method != "auto");
-  if (planned && !shortest && limit < kNoLimitS) prove(part_of(for_search, kForProof));
-  Incumbents found(p, reference, options.aim);
-  if (shortest) {
-    // It may be as short with less for the other chains.
-    found = *planned;
-    if (options.method == "auto" && limit < kNoLimitS) {
-      const Until around{
-          later(std::chrono::steady_clock::now(), std::min(kAroundOnlyPlanS, kForPlans * limit)),
-          options.stop};
-      const Policy* from = options.hint != nullptr ? options.hint : &seed->policy;
-      Incumbents free = round.search(p, reference, from, Keep::kNothing,
-                                     {around, to_finish, options.max_evaluations, around, {}});
-      if (free.any() && found.add(free.best())) seed = nullptr;
-    }
-  } else if (planned && options.keep == Keep::kNothing && at_bounds(p, planned->best(), bounds)) {
-    found = *planned;
-  } else {
-    found = round.search(p, reference, options.hint, options.keep,
-                         {for_search, to_finish, options.max_evaluations, for_least, {}});
-    // Of equal ones that with order: it waits for jobs, and not for the clock.
-    if (planned) {
-      const Incumbents free = found;
-      found = *planned;
-      for (const Candidate* one : {&free.least(), &free.best()})
-        if (found.add(*one)) seed = nullptr;
-    }
-  }
-  answer.evaluations = round.evaluations;
-  const Problem& of = seed == nullptr ? p : seed->problem;
-  Candidate best = found.best();
-  if (found.any()) {
-    Until for_holds{std::max(for_search.deadline, std::chrono::steady_clock::now())};
-    if (limit < kNoLimitS)
-      for_holds.deadline +=
-          std::chrono::duration_cast<TimePoint::duration>(std::chrono::duration<double>(
-              std::clamp(kForHolds * limit, kForHoldsAtLeastS, kForHoldsS)));
-    drop_holds(of, best.decision.xpu, best.figures.w, for_holds);
-  }
-  // What is left of the time makes the bounds better.
-  if (shortest && limit < kNoLimitS) for_finer = part_of(for_finer, kForPlans);
-  if (p.chains.size() == 1) bounds[0] = std::max(bounds[0], bound);
-  if (!found.any() || !at_bounds(p, found.best(), bounds)) prove(part_of(for_finer, kForChains));
-  for (std::size_t c = 0; c < bounds.size(); ++c) answer.lower_bound_us[c] = us_above(p, bounds[c]);
-  const double unit = p.deadlines ? 1 : static_cast<double>(p.scale);
-  // First what was asked for.
-  for (const bool sum :
-       options.aim == Aim::kLargest ? std::array{false, true} : std::array{true, false})
-    (sum ? answer.bounds.sum : answer.bounds.largest) =
-        objective_bound(p, bounds, sum, kMostCasesOfAll, for_finer) / unit;
-  answer.bounds.largest = std::max(answer.bounds.largest, least_of_all / unit);
-  if (!found.any()) {
-    if (std::optional<OverloadProof> proof = prove_unpackable(p, kLastLooks, to_finish)) {
-      answer.outcome = Outcome::kUnsustainable;
-      answer.overload = std::move(*proof);
-    }
-    return answer;
-  }
-  answer.outcome = Outcome::kPolicy;
-  // Predicted times are those of one schedule; domains that share XPUs have none in common.
-  const bool predicted =
-      p.domains.size() == 1 && !p.any_urgent &&
-      predict(of, best.decision.xpu, best.figures.w, best.figures.schedule, to_finish);
-  answer.policy = policy_of(app, platform, of, best, predicted, answer.lower_bound_us);
-  if (seed != nullptr) {
-    answer.policy.order = seed->policy.order;
-    answer.policy.method = seed->policy.method;
-  }
-  answer.totals = totals_of(app, worst_cases(answer.policy));
-  answer.least_largest = std::min(answer.totals.largest, found.least().figures.largest / unit);
-  answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
-  answer.first_answer_ms = round.first_ms;
-  if (options.hint != nullptr)
-    for (int i = 0; i < p.num_xnodes; ++i) {
-      const int was = options.hint->placements[at(i)].xpu;
-      if (was >= 0 && was != answer.policy.placements[at(i)].xpu) answer.moved.push_back(i);
-    }
-  return answer;
+  return Solving(app, platform, options, began, std::move(p)).run();
 }
 
 }  // namespace xauto::solver::keys

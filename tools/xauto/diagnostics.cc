@@ -54,95 +54,133 @@ std::string claim_words(const FlowCounts& flow, const runtime::Account& account,
   return "not claimed here: " + one_line(account.broken());
 }
 
-/// `of_each`: what is claimed is of every result. With tables it is of those that met no change.
+/// A chain, or the app as a whole, between two looks.
+class FlowStatus {
+ public:
+  /// `of_each`: what is claimed is of every result. With tables it is of those that met no change.
+  FlowStatus(const FlowCounts& now, const FlowCounts& before, const RunLook& look,
+             std::int64_t before_ns, bool of_each)
+      : now_(now), before_(before), look_(look), before_ns_(before_ns), of_each_(of_each) {}
+
+  Diagnostic tell(const std::string& name) {
+    count();
+    find_delay();
+    find_silence();
+    if (found_.message.empty())
+      found_.message = limit_us_ == 0       ? "there is nothing to hold results against"
+                       : account_.stands()  ? "OK"
+                       : !account_.claims() ? "OK; no worst case is certified"
+                                            : "OK; the certified worst case is not claimed here";
+    Diagnostic d{found_.level, name, found_.message, look_.platform, {}};
+    tell_autowares(d);
+    tell_ours(d);
+    return d;
+  }
+
+ private:
+  void count() {
+    const std::uint64_t lost = grown(now_.lost, before_.lost),
+                        old = grown(now_.age_misses, before_.age_misses);
+    if (late_ > 0)
+      found_.add(Level::kError, fmt::format("{} results later than the deadline of {} ms", late_,
+                                            millis(now_.deadline_us)));
+    if (old > 0)
+      found_.add(Level::kError,
+                 fmt::format("{} results became older than {} ms", old, millis(now_.max_age_us)));
+    if (claimed_ && over_ > 0)
+      found_.add(Level::kWarn,
+                 fmt::format("{} results longer than the certified worst case of {} ms", over_,
+                             millis(now_.worst_case_us)));
+    if (lost > 0) found_.add(Level::kWarn, fmt::format("{} activations lost", lost));
+  }
+
+  void find_delay() {
+    if (off_) {
+      found_.add(Level::kOk, now_.gone ? "a module on its way is off in this table"
+                                       : "its end is off in this table");
+      return;
+    }
+    if (!watched_ || now_.results() == 0) return;
+    const bool in_time = now_.in_time_ns == now_.last_ns;
+    const std::int64_t since_ns = std::max(now_.in_time_ns, now_.gone_or_back_ns);
+    delay_us_ = in_time ? 0 : std::max<std::int64_t>(0, look_.counts.at_ns - since_ns) / 1000;
+    goes_on_ = most_us_ > 0 && delay_us_ > most_us_;
+    if (goes_on_)
+      found_.add(Level::kError, fmt::format("no result in time for {} ms", millis(delay_us_)));
+  }
+
+  void find_silence() {
+    if (off_) return;
+    if (now_.results() == 0) return found_.add(Level::kStale, "no result yet");
+    const std::int64_t last_ns = std::max(now_.last_ns, now_.gone_or_back_ns);
+    const std::int64_t silent_us =
+        now_.last_ns > 0 ? std::max<std::int64_t>(0, look_.counts.at_ns - last_ns) / 1000 : -1;
+    const bool silent = most_us_ > 0         ? silent_us > most_us_
+                        : now_.period_us > 0 ? silent_us > 2 * now_.period_us + now_.longest_us
+                                             : now_.results() == before_.results();
+    if (silent) found_.add(Level::kStale, fmt::format("no result for {} ms", millis(silent_us)));
+  }
+
+  void tell_autowares(Diagnostic& d) const {
+    const bool last_over = claimed_ && of_each_ && now_.last_us > now_.allowed_us;
+    const bool last_late = has_deadline_ && now_.last_us > now_.deadline_us;
+    const bool as_expected = (!claimed_ || over_ == 0) && late_ == 0 && !last_over && !last_late;
+    say(d, "is_processing_time_ms_in_expected_range", limit_us_ > 0 ? word(as_expected) : kUnknown);
+    say(d, "processing_time_ms", millis(now_.last_us));
+    say(d, "is_consecutive_processing_delay_in_range",
+        watched_ && most_us_ > 0 ? word(!goes_on_) : kUnknown);
+    say(d, "consecutive_processing_delay_ms", millis(delay_us_));
+  }
+
+  void tell_ours(Diagnostic& d) const {
+    say(d, "longest_ms", millis(now_.longest_us));
+    say(d, "worst_case_ms", claimed_ ? millis(now_.worst_case_us) : kUnknown);
+    say(d, "slack_ms",
+        claimed_ && of_each_ && now_.longest_us >= 0
+            ? signed_millis(now_.worst_case_us - now_.longest_us)
+            : kUnknown);
+    say(d, "deadline_ms", has_deadline_ ? millis(now_.deadline_us) : kUnknown);
+    say(d, "claim", claim_words(now_, account_, !look_.counts.scenarios.empty()));
+    const FlowNumbers n = numbers_of(now_, before_, look_.counts.at_ns, before_ns_);
+    say(d, "rate_hz", before_ns_ > 0 ? fmt::format("{:.3f}", n.rate_hz) : kUnknown);
+    say(d, "results", std::to_string(now_.results()));
+    say(d, "deadline_misses", std::to_string(now_.deadline_misses));
+    say(d, "lost", std::to_string(now_.lost));
+    if (now_.worst_case_us > 0) say(d, "over_worst_case", std::to_string(now_.over_claim));
+    if (now_.max_age_us > 0) say(d, "age_misses", std::to_string(now_.age_misses));
+  }
+
+  static void say(Diagnostic& d, const char* key, std::string value) {
+    d.values.emplace_back(key, std::move(value));
+  }
+
+  const FlowCounts &now_, &before_;
+  const RunLook& look_;
+  const std::int64_t before_ns_;
+  const bool of_each_;
+  const runtime::Account& account_ = look_.counts.account;
+  const bool claimed_ = now_.worst_case_us > 0 && account_.stands();
+  const bool has_deadline_ = now_.deadline_us > 0;
+  const std::uint64_t late_ = grown(now_.deadline_misses, before_.deadline_misses),
+                      over_ = grown(now_.over_claim, before_.over_claim);
+  /// What results are held against: a deadline, and without one what is claimed. Nothing else.
+  const std::int64_t limit_us_ = has_deadline_ ? now_.deadline_us : claimed_ ? now_.allowed_us : 0;
+  /// In time are results that come within a period and the limit of each other. Two periods: one of
+  /// them may be late or lost before it is a delay that goes on. Where there is no limit the longest so far is it.
+  const std::int64_t most_us_ =
+      limit_us_ > 0 && now_.period_us > 0 ? 2 * now_.period_us + limit_us_ : 0;
+  const bool watched_ =
+      limit_us_ > 0 && limit_us_ == now_.limit_us;  ///< with tables deadlines alone
+  /// Nothing is late, and nothing comes.
+  const bool off_ = now_.gone || (now_.off > before_.off && now_.results() == before_.results());
+  Findings found_;
+  std::int64_t delay_us_ = -1;
+  bool goes_on_ = false;  ///< the delay
+};
+
 Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCounts& before,
                    const RunLook& look, std::int64_t before_ns, bool of_each) {
-  const runtime::Account& account = look.counts.account;
-  const std::int64_t at_ns = look.counts.at_ns;
-  const bool claimed = now.worst_case_us > 0 && account.stands();
-  const bool has_deadline = now.deadline_us > 0;
-  const std::uint64_t late = grown(now.deadline_misses, before.deadline_misses),
-                      over = grown(now.over_claim, before.over_claim),
-                      lost = grown(now.lost, before.lost),
-                      old = grown(now.age_misses, before.age_misses);
-  // What results are held against: a deadline, and without one what is claimed. Nothing else.
-  const std::int64_t limit_us = has_deadline ? now.deadline_us : claimed ? now.allowed_us : 0;
-
-  Findings found;
-  if (late > 0)
-    found.add(Level::kError, fmt::format("{} results later than the deadline of {} ms", late,
-                                         millis(now.deadline_us)));
-  if (old > 0)
-    found.add(Level::kError,
-              fmt::format("{} results became older than {} ms", old, millis(now.max_age_us)));
-  if (claimed && over > 0)
-    found.add(Level::kWarn, fmt::format("{} results longer than the certified worst case of {} ms",
-                                        over, millis(now.worst_case_us)));
-  if (lost > 0) found.add(Level::kWarn, fmt::format("{} activations lost", lost));
-
-  // In time are results that come within a period and the limit of each other. Two periods: one of
-  // them may be late or lost before it is a delay that goes on. Where there is no limit the longest so far is it.
-  std::int64_t delay_us = -1;
-  bool goes_on = false;
-  const std::int64_t most_us = limit_us > 0 && now.period_us > 0 ? 2 * now.period_us + limit_us : 0;
-  const bool watched = limit_us > 0 && limit_us == now.limit_us;  // with tables deadlines alone
-  // Nothing is late, and nothing comes.
-  const bool off = now.gone || (now.off > before.off && now.results() == before.results());
-  if (off) {
-    found.add(Level::kOk, now.gone ? "a module on its way is off in this table"
-                                   : "its end is off in this table");
-  } else if (watched && now.results() > 0) {
-    const bool in_time = now.in_time_ns == now.last_ns;
-    const std::int64_t since_ns = std::max(now.in_time_ns, now.gone_or_back_ns);
-    delay_us = in_time ? 0 : std::max<std::int64_t>(0, at_ns - since_ns) / 1000;
-    goes_on = most_us > 0 && delay_us > most_us;
-    if (goes_on)
-      found.add(Level::kError, fmt::format("no result in time for {} ms", millis(delay_us)));
-  }
-  const std::int64_t silent_us =
-      now.last_ns > 0
-          ? std::max<std::int64_t>(0, at_ns - std::max(now.last_ns, now.gone_or_back_ns)) / 1000
-          : -1;
-  if (!off && now.results() == 0)
-    found.add(Level::kStale, "no result yet");
-  else if (!off && (most_us > 0         ? silent_us > most_us
-                    : now.period_us > 0 ? silent_us > 2 * now.period_us + now.longest_us
-                                        : now.results() == before.results()))
-    found.add(Level::kStale, fmt::format("no result for {} ms", millis(silent_us)));
-  if (found.message.empty())
-    found.message = limit_us == 0       ? "there is nothing to hold results against"
-                    : account.stands()  ? "OK"
-                    : !account.claims() ? "OK; no worst case is certified"
-                                        : "OK; the certified worst case is not claimed here";
-
-  Diagnostic d{found.level, name, found.message, look.platform, {}};
-  const auto say = [&](const char* key, std::string value) {
-    d.values.emplace_back(key, std::move(value));
-  };
-  // Autoware's four keys, then ours.
-  const bool last_over = claimed && of_each && now.last_us > now.allowed_us;
-  const bool last_late = has_deadline && now.last_us > now.deadline_us;
-  const bool as_expected = (!claimed || over == 0) && late == 0 && !last_over && !last_late;
-  say("is_processing_time_ms_in_expected_range", limit_us > 0 ? word(as_expected) : kUnknown);
-  say("processing_time_ms", millis(now.last_us));
-  say("is_consecutive_processing_delay_in_range",
-      watched && most_us > 0 ? word(!goes_on) : kUnknown);
-  say("consecutive_processing_delay_ms", millis(delay_us));
-  say("longest_ms", millis(now.longest_us));
-  say("worst_case_ms", claimed ? millis(now.worst_case_us) : kUnknown);
-  say("slack_ms", claimed && of_each && now.longest_us >= 0
-                      ? signed_millis(now.worst_case_us - now.longest_us)
-                      : kUnknown);
-  say("deadline_ms", has_deadline ? millis(now.deadline_us) : kUnknown);
-  say("claim", claim_words(now, account, !look.counts.scenarios.empty()));
-  const FlowNumbers n = numbers_of(now, before, at_ns, before_ns);
-  say("rate_hz", before_ns > 0 ? fmt::format("{:.3f}", n.rate_hz) : kUnknown);
-  say("results", std::to_string(now.results()));
-  say("deadline_misses", std::to_string(now.deadline_misses));
-  say("lost", std::to_string(now.lost));
-  if (now.worst_case_us > 0) say("over_worst_case", std::to_string(now.over_claim));
-  if (now.max_age_us > 0) say("age_misses", std::to_string(now.age_misses));
-  return d;
+  return FlowStatus(now, before, look, before_ns, of_each).tell(name);
 }
 
 /// What the certified worst cases take for granted.
