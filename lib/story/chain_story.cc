@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/index.h"
 
 namespace xauto::story {
@@ -429,6 +430,7 @@ std::string reasons_of(const StoryJob& job) {
 }
 
 std::string story_text(const ChainStory& story) {
+  constexpr std::size_t kOfStory = 18;
   std::string out = fmt::format("{}: {} {} took {} ms, ", story.chain,
                                 story.urgent ? "urgent release" : "release", story.number,
                                 in_ms(story.reaction_us));
@@ -437,24 +439,22 @@ std::string story_text(const ChainStory& story) {
   out += fmt::format("; the median is {}.\n  {}\n", in_ms(story.median_us), story.note);
   if (!story.way.empty()) out += "  On its way, " + way_text(story) + ".\n";
   out += "\n  All in ms since that release.\n\n";
-  std::size_t width = 12;
-  for (const StoryJob& job : story.jobs) width = std::max(width, job.xnode.size());
-  for (const StorySensor& sensor : story.sensors) width = std::max(width, sensor.source.size() + 7);
-  out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10} {:>10} {:>10} {:>10} {:>9}  why\n", "XNode",
-                     width, "n", "on", "ready", "began", "ended", "key", "lateness");
+  out += row_of("XNode", kOfStory) + fmt::format("{:>6}  ", "n") + left("on", 8) +
+         fmt::format("{:>8}{:>9}{:>9}{:>9}{:>9}\n", "ready", "began", "ended", "key", "lateness");
   std::size_t next = 0;
   const auto sensors_until = [&](std::int64_t us) {
     for (; next < story.sensors.size() && story.sensors[next].released_us <= us; ++next) {
       const StorySensor& sensor = story.sensors[next];
-      out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10}\n", "source " + sensor.source, width,
-                         sensor.number, "released", in_ms(sensor.released_us));
+      out += row_of("source " + sensor.source, kOfStory) +
+             fmt::format("{:>6}  released{:>8}\n", sensor.number, in_ms(sensor.released_us));
     }
   };
   const auto tell = [&](const StoryJob& job) {
-    out += fmt::format("  {:<{}} {:>7}  {:<8} {:>10} {:>10} {:>10} {:>10} {:>9}  {}\n", job.xnode,
-                       width, job.number, job.xpu, in_ms(job.ready_us), in_ms(job.began_us),
-                       in_ms(job.ended_us), or_dash(job.key_us), or_dash(job.lateness_us, true),
-                       reasons_of(job));
+    out += row_of(job.xnode, kOfStory) + fmt::format("{:>6}  ", job.number) + left(job.xpu, 8) +
+           fmt::format("{:>8}{:>9}{:>9}{:>9}{:>9}\n", in_ms(job.ready_us), in_ms(job.began_us),
+                       in_ms(job.ended_us), or_dash(job.key_us), or_dash(job.lateness_us, true));
+    if (const std::string why = reasons_of(job); !why.empty())
+      out += wrapped("    " + why, 6) + "\n";
     for (const StoryRead& read : job.reads)
       out += read.number < 0
                  ? fmt::format("    read of {}: nothing\n", read.read)

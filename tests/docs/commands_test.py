@@ -30,7 +30,7 @@ def normal(line):
     line = re.sub(r"% +optimal$", "%", line)
     line = re.sub(r"\*(?=\d)", "", line)
     line = re.sub(r"\s+", " ", NUMBER.sub(" # ", line)).strip()
-    return re.sub(r"# - #", "# # #", line, count=1)  # no p99 of fewer than 100 results
+    return re.sub(r"(?<!# )# - #", "# # #", line, count=1)  # no p99 of fewer than 100 results
 
 
 def difference(shown, printed):
@@ -91,6 +91,23 @@ def uncovered(text):
                 r"\s*(?:\$ )?(?:xauto |make\b|build/bin/|scripts/|cmake |apt)", line):
             found.append(f"line {number}: {line.strip()}")
     return found
+
+
+def commands_of(text):
+    """What somebody may type: verbs named in sentences, and lines of code blocks."""
+    lines, inside = re.findall(r"`(xauto [a-z][^`]*)`", text), False
+    for line in text.splitlines():
+        if line.startswith("```"):
+            inside = not inside
+        elif (inside or line.startswith("    ")) and re.match(
+                r"\s*(?:[$#] )?(?:sudo |[A-Z_]+=\S+ )*(?:build/bin/\S|xauto |make\b|cmake |insmod |scripts/\S|apt)", line):
+            lines.append(line.strip())
+    return lines
+
+
+def says_which_rights(text):
+    """Before its first section."""
+    return re.search(r"(?i)\brights?\b|\broot\b", re.split(r"(?m)^## ", text)[0]) is not None
 
 
 class Checkout:
@@ -169,6 +186,12 @@ class Pages(unittest.TestCase):
     def test_tutorial(self):
         self.judge("docs/tutorial.md")
 
+    def test_each_page_with_commands_says_first_which_rights_they_need(self):
+        pages = {page.name: page.read_text() for page in (SOURCE / "docs").glob("*.md")}
+        with_commands = {name for name, text in pages.items() if commands_of(text)}
+        self.assertGreater(len(with_commands), 10)
+        self.assertEqual([name for name in sorted(with_commands) if not says_which_rights(pages[name])], [])
+
     @unittest.skipUnless((BIN.parent / "onnx/whole").exists(), "scripts/fetch-onnx.sh could not fetch ONNX Runtime")
     def test_nets(self):
         self.judge("docs/nets.md")
@@ -203,6 +226,11 @@ class TheTestItself(unittest.TestCase):
         for page in (self.page(f"$ {lost}; echo 'xauto: error: another' >&2; (exit 1)"), self.page(f"$ {lost}; (exit 2)"),
                      self.page(f"$ {lost.replace('A: 0', 'A: 1')}; (exit 1)"), self.page("$ (exit 1)")):
             self.assertIsNotNone(self.wrong(page), page)
+
+    def test_a_page_that_says_no_rights_is_seen(self):
+        self.assertEqual(len(commands_of("a\n```\n# xauto doctor\nsudo insmod x.ko\nplain text\n```\n    make check\nmake it so\n")), 3)
+        self.assertTrue(says_which_rights("# A page\n\nNo rights are needed.\n## Next\n"))
+        self.assertFalse(says_which_rights("# A page\n\n## Next\n\nNo rights are needed.\n"))
 
     def test_a_command_in_no_console_block_is_seen(self):
         self.assertEqual(len(uncovered("text\n\n    xauto solve --app a\n")), 1)

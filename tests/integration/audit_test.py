@@ -35,7 +35,8 @@ class Audit(unittest.TestCase):
 
     def line(self, done, xnode):
         table = done.stdout[done.stdout.index("busy beside/without"):]
-        return next(line for line in table.splitlines() if line.split()[:1] == [xnode])
+        lines = table.splitlines()
+        return next(row + verdict for row, verdict in zip(lines, lines[1:]) if row.split()[:1] == [xnode])
 
     def test_a_stage_that_falls_back_is_found(self):
         # Under load more repetitions: of a pair the background alone may have the longer part.

@@ -253,7 +253,7 @@ class Flow(unittest.TestCase):
         for words, said in ((["record", "info", "x"], "there is no verb 'record'; did you mean 'recording'?"),
                             (["slove"], "there is no verb 'slove'; did you mean 'solve'?"),
                             (["solve", "--ap", "a.json"], "--ap is no option of solve; did you mean --app?"),
-                            (["run", "--timelin", "x"], "--timelin is no option of run; did you mean --timeline?"),
+                            (["run", "--polic", "x"], "--polic is no option of run; did you mean --policy?"),
                             (["solve", "-app", "a.json"], "-app is no option of solve; did you mean --app?"),
                             (["status"], "there is no verb 'status'\n")):
             done = xauto(*words)

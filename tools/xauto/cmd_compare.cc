@@ -37,7 +37,7 @@ const std::vector<std::pair<std::string, std::string>> kPolicyNames = {
     {"heft", "HEFT"},
     {"local", "local optimum, scheduled"},
     {"xauto", "XAuto"},
-    {"xauto-unscheduled", "XAuto without scheduling"},
+    {"xauto-unscheduled", "XAuto, unscheduled"},
     {"fixed", "fixed priorities"}};
 
 const std::vector<std::string> kOneAtATime = {"ros2", "heft", "xauto", "xauto-unscheduled"};

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "kernel/probe.h"
 #include "model/json.h"
 #include "model/json_value.h"
@@ -61,9 +62,10 @@ Result<int> doctor(const std::string& platform_out, const Options& options) {
     return kDone;
   }
   for (const kernel::Finding& f : findings) {
-    std::cout << fmt::format("  {:<9} {:<14} {}\n            {}\n", word(f.verdict), f.id, f.found,
-                             f.meaning);
-    if (!f.advice.empty()) std::cout << fmt::format("            -> {}\n", f.advice);
+    std::cout << wrapped(fmt::format("  {:<9} {:<14} {}", word(f.verdict), f.id, f.found), 27)
+              << "\n"
+              << wrapped("            " + f.meaning, 12) << "\n";
+    if (!f.advice.empty()) std::cout << wrapped("            -> " + f.advice, 15) << "\n";
   }
   return kDone;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto param: the parameters and scenarios of a run that goes on. They are read from its counts, as
 // `xauto top` does; to change one the run's tool is asked.
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <iostream>
@@ -8,6 +9,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/utf8.h"
 #include "model/json_value.h"
 #include "processes/parameters.h"
@@ -74,15 +76,15 @@ std::string scenarios_table(const Watched& run) {
   if (!counts.scenario) return {};
   const ScenarioCounts& now = *counts.scenario;
   const std::uint32_t scenarios = run.board->shape().scenarios;
-  std::size_t width = 8;
-  for (std::uint32_t s = 0; s < scenarios; ++s)
-    width = std::max(width, scenario_of(*run.board, s).name.size());
   std::string out =
-      fmt::format("\n    {:<{}}  {:<12}{:>10}\n", "scenario", width, "table", "releases");
+      "\n  " + row_of("scenario", kNameColumns) + fmt::format("{:>10}  table\n", "releases");
   for (std::uint32_t s = 0; s < scenarios; ++s) {
     const ScenarioCounts one = scenario_of(*run.board, s);
-    out += fmt::format("  {} {:<{}}  {:<12}{:>10}{}\n", one.name == now.name ? "*" : " ", one.name,
-                       width, one.table, one.releases, one.name == now.asked ? "  asked for" : "");
+    out += wrapped((one.name == now.name ? "  * " : "    ") + left(one.name, kNameColumns) +
+                       fmt::format("{:>10}  {}{}", one.releases, one.table,
+                                   one.name == now.asked ? "  asked for" : ""),
+                   6) +
+           "\n";
   }
   if (counts.spanned) out += "\n" + spanned_text(counts);
   return out;
@@ -125,13 +127,13 @@ Result<int> list(const ParamFlags& flags, const Options& options) {
     rows.push_back({p.module, p.spec.name, to_string(p.spec.type()), p.spec.range(),
                     for_terminal(to_text(p.value)), for_terminal(to_text(p.spec.initial))});
   std::vector<std::size_t> width(rows.front().size());
+  constexpr std::array<std::size_t, 6> kMost = {16, 20, 9, 16, 10, 9};
   for (const auto& row : rows)
-    for (std::size_t i = 0; i < row.size(); ++i) width[i] = std::max(width[i], row[i].size());
-  for (const auto& row : rows) {
-    std::string line;
     for (std::size_t i = 0; i < row.size(); ++i)
-      line += i + 1 == row.size() ? row[i] : fmt::format("{:<{}}  ", row[i], width[i]);
-    std::cout << line << "\n";
+      width[i] = std::min(kMost[i], std::max(width[i], columns_of(row[i]) + 2));
+  for (const auto& row : rows) {
+    for (std::size_t i = 0; i + 1 < row.size(); ++i) std::cout << left(row[i], width[i]);
+    std::cout << cut(row.back(), kMost.back()) << "\n";
   }
   std::cout << scenarios;
   return kDone;

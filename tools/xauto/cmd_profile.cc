@@ -10,6 +10,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/log.h"
 #include "model/asked.h"
 #include "model/json.h"
@@ -107,6 +108,8 @@ void each_row(const Profile& profile, const Platform& platform, Row row) {
   }
 }
 
+constexpr std::size_t kOfProfile = 20;
+
 /// Of all co-run classes together.
 std::int64_t wcet(const XNodeProfile& x, const std::string& xpu, std::int64_t margin_pct,
                   WcetFrom from) {
@@ -120,17 +123,18 @@ std::int64_t wcet(const XNodeProfile& x, const std::string& xpu, std::int64_t ma
 /// The longest times beside each type of XPU, and what loaded it.
 std::string contention_table(const Profile& profile, const Platform& platform) {
   const ProfileConditions& c = profile.conditions;
-  std::string out = fmt::format("\n  {:<24}{:<8}{:>9}", "max beside a load of", "XPU", "nothing");
-  for (const auto& [type, what] : c.beside) out += fmt::format("{:>9}", type);
+  std::string out = "\n" + row_of("max beside load of", kOfProfile) + left("XPU", 8) +
+                    fmt::format("{:>8}", "nothing");
+  for (const auto& [type, what] : c.beside) out += fmt::format("{:>8}", cut(type, 7));
   out += "\n";
   each_row(profile, platform,
            [&](const XNodeProfile& x, const std::string& title, const std::string& xpu,
                const Samples& alone) {
-             out += fmt::format("  {:<24}{:<8}{:>9}", title, xpu, alone.max_us);
+             out += row_of(title, kOfProfile) + left(xpu, 8) + fmt::format("{:>8}", alone.max_us);
              for (const auto& [type, what] : c.beside) {
                const auto on = x.beside.find(type);
                const bool there = on != x.beside.end() && on->second.contains(xpu);
-               out += fmt::format("{:>9}", there ? std::to_string(on->second.at(xpu).max_us) : "-");
+               out += fmt::format("{:>8}", there ? std::to_string(on->second.at(xpu).max_us) : "-");
              }
              out += "\n";
            });
@@ -164,16 +168,17 @@ std::string audit_table(const Profile& profile, const Platform& platform) {
   std::vector<std::string> columns;
   for (const Xpu& xpu : platform.xpus)
     if (xpu.type != "cpu") columns.push_back(xpu.id);
-  std::string out = fmt::format("\n  {:<24}{:<8}{:>9}", "busy beside/without, us", "XPU", "itself");
-  for (const std::string& id : columns) out += fmt::format("{:>13}", id);
-  out += fmt::format("{:>13}  {}\n", "CPUs", "verdict");
+  std::string out = "\n" + row_of("busy beside/without", kOfProfile) + left("XPU", 8) +
+                    fmt::format("{:>8}", "itself");
+  for (const std::string& id : columns) out += fmt::format("{:>13}", cut(id, 12));
+  out += fmt::format("{:>13}\n", "CPUs");
   const auto cell = [](std::int64_t busy_us, std::int64_t idle_us) {
     return fmt::format("{:>13}", fmt::format("{}/{}", busy_us, idle_us));
   };
   each_row(
       profile, platform,
       [&](const XNodeProfile&, const std::string& title, const std::string& xpu, const Samples& s) {
-        out += fmt::format("  {:<24}{:<8}{:>9}", title, xpu, s.p50_us);
+        out += row_of(title, kOfProfile) + left(xpu, 8) + fmt::format("{:>8}", s.p50_us);
         bool all_seen = true;
         for (const std::string& id : columns) {
           const auto other = s.others.find(id);
@@ -190,7 +195,7 @@ std::string audit_table(const Profile& profile, const Platform& platform) {
           idle_us += other.idle_us;
         }
         const std::string used = used_by(s);
-        out += fmt::format("{}  {}\n", cell(busy_us, idle_us),
+        out += fmt::format("{}\n    {}\n", cell(busy_us, idle_us),
                            !used.empty() ? used
                            : all_seen    ? "on no other"
                                          : "on no other that is seen (-: is not)");
@@ -241,16 +246,16 @@ std::string table(const Profile& measured, const Platform& platform, WcetFrom fr
       fmt::format("{} on {}{}: execution times in us, {} repetitions after {} warm-up\n\n",
                   profile.app, platform.name, conditions_of(profile),
                   profile.conditions.repetitions, profile.conditions.warmup);
-  out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}\n", "XNode", "XPU", "min", "p50",
-                     "p99", "max", "WCET", "n");
+  out += row_of("XNode", kOfProfile) + left("XPU", 8) +
+         fmt::format("{:>8}{:>8}{:>8}{:>8}{:>8}{:>5}\n", "min", "p50", "p99", "max", "WCET", "n");
   each_row(profile, platform,
            [&](const XNodeProfile& x, const std::string& title, const std::string& xpu,
                const Samples& s) {
-             out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}{}\n", title, xpu,
-                                s.min_us, s.p50_us,
+             out += row_of(title, kOfProfile) + left(xpu, 8) +
+                    fmt::format("{:>8}{:>8}{:>8}{:>8}{:>8}{:>5}{}\n", s.min_us, s.p50_us,
                                 s.count < kP99Samples ? "-" : std::to_string(s.p99_us), s.max_us,
                                 wcet(x, xpu, profile.margin_pct, from), s.count,
-                                profile.conditions.emulated && !s.emulated ? "  real" : "");
+                                profile.conditions.emulated && !s.emulated ? " real" : "");
            });
   const bool contended =
       !profile.conditions.beside.empty() || !profile.conditions.not_beside.empty();

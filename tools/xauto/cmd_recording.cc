@@ -9,6 +9,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/log.h"
 #include "model/json_value.h"
 #include "record/recording.h"
@@ -65,8 +66,9 @@ int print_info(const std::string& path, const Contents& c, const Options& option
   std::string table = fmt::format("{}: {} messages, {:.3f} s\n", path, c.num_messages, c.seconds);
   for (std::size_t i = 0; i < c.topics.size(); ++i) {
     const record::Topic& topic = c.topics[i];
-    table += fmt::format("  {:<32}{:>8} messages {:>12} bytes  {} ({})\n", topic.name,
-                         c.messages[i], c.bytes[i], topic.type, topic.serialization_format);
+    table += row_of(topic.name, 34) +
+             fmt::format("{:>9} messages {:>16} bytes\n", c.messages[i], c.bytes[i]) +
+             wrapped(fmt::format("    {} ({})", topic.type, topic.serialization_format), 6) + "\n";
     topics.push_back({{"name", topic.name},
                       {"type", topic.type},
                       {"serialization_format", topic.serialization_format},

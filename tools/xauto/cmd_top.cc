@@ -15,10 +15,10 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/columns.h"
 #include "model/json_value.h"
 
 #include "xauto/asking.h"
-#include "xauto/columns.h"
 #include "xauto/command.h"
 #include "xauto/kernel_record.h"
 #include "xauto/live.h"

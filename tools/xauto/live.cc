@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include "base/columns.h"
 #include "base/log.h"
 #include "coord/protocol.h"
 #include "launch/supervisor.h"
@@ -159,21 +160,21 @@ std::map<std::string, Coordinated> ask_coordinators(const std::string& run) {
 std::string claims_text(const Counts& counts) {
   if (!counts.account.claims()) return {};
   const bool stands = counts.account.verdict() == runtime::Verdict::kKept;
-  const auto in_ms = [](std::int64_t us) {
-    return us < 0 ? std::string("-") : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
-  };
-  std::string out = fmt::format("\n  {:<28}{:>9}{:>9}{:>12}{:>9}\n", "reaction, ms", "last",
-                                "longest", "worst case", "bound");
+  std::string out =
+      "\n" + row_of("reaction, ms", kNameColumns) +
+      fmt::format("{:>9}{:>9}{:>12}{:>9}\n", "last", "longest", "worst case", "bound");
   const auto claim = [&](std::int64_t us) {
-    return us == 0 ? "-" : (stands ? "" : "*") + in_ms(us);
+    return us == 0 ? "-" : (stands ? "" : "*") + ms_in_row(us);
   };
   for (const FlowCounts& chain : counts.chains) {
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", chain.name, in_ms(chain.last_us),
-                       in_ms(chain.longest_us), claim(chain.worst_case_us),
-                       chain.lower_bound_us == 0 ? "-" : in_ms(chain.lower_bound_us));
+    out += row_of(chain.name, kNameColumns) +
+           fmt::format("{:>9}{:>9}{:>12}{:>9}\n", ms_in_row(chain.last_us),
+                       ms_in_row(chain.longest_us), claim(chain.worst_case_us),
+                       chain.lower_bound_us == 0 ? "-" : ms_in_row(chain.lower_bound_us));
     if (chain.urgent_worst_case_us > 0)
-      out += fmt::format("  {:<28}{:>9}{:>9}{:>12}\n", "  urgent", "",
-                         in_ms(chain.longest_urgent_us), claim(chain.urgent_worst_case_us));
+      out += row_of("  urgent", kNameColumns) + fmt::format("{:>18}{:>12}\n",
+                                                            ms_in_row(chain.longest_urgent_us),
+                                                            claim(chain.urgent_worst_case_us));
   }
   return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
                            counts.account.verdict_words());

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/index.h"
 #include "model/claims.h"
 #include "model/components.h"
@@ -27,7 +28,8 @@ namespace {
 
 namespace keys = solver::keys;
 
-constexpr std::size_t kMostPrices = 12;  ///< of modules in one line
+constexpr std::size_t kProofColumns = 28;  ///< before what shows that jobs end by their keys
+constexpr std::size_t kMostPrices = 12;    ///< of modules in one line
 /// Where nothing is certified, so much of the time limit more: for the best policy, and for what would help.
 constexpr double kForUncertified = 0.4, kForRemedies = 0.2;
 
@@ -54,45 +56,46 @@ std::string shape(const AppSpec& app) {
 }
 
 std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
-  std::string out = fmt::format("  {:<10}{:>7}{:>9}   {}\n", "XPU", "XNodes", "load",
+  std::string out = fmt::format("  {:<8}{:>7}{:>9}  {}\n", "XPU", "XNodes", "load",
                                 "why every job ends by its key");
   for (std::size_t x = 0; x < report.xpus.size(); ++x) {
     const keys::XpuProof& proof = report.xpus[x];
     const auto count =
         std::count_if(policy.placements.begin(), policy.placements.end(),
                       [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
-    out += fmt::format("  {:<10}{:>7}{:>7.1f} %   ", proof.xpu, count, 100 * proof.load);
-    if (count == 0) {
-      out += "it has none\n";
-      continue;
-    }
-    if (proof.kind.empty()) {
-      out += "not shown\n";
-      continue;
-    }
-    out += fmt::format("{} of {} jobs in {}", proof.kind, proof.jobs, ms_of(proof.repeats_us));
-    if (!proof.xnode.empty())
-      out += fmt::format("; tightest {} {}: {} free of {}", proof.xnode, proof.activation,
-                         ms_of(proof.slack_us), ms_of(proof.length_us));
-    out += "\n";
+    std::string why = count == 0           ? "it has none"
+                      : proof.kind.empty() ? "not shown"
+                                           : fmt::format("{} of {} jobs in {}", proof.kind,
+                                                         proof.jobs, ms_of(proof.repeats_us));
+    if (count > 0 && !proof.kind.empty() && !proof.xnode.empty())
+      why += fmt::format(";\n{:{}}tightest {} {}: {} free of {}", "", kProofColumns, proof.xnode,
+                         proof.activation, ms_of(proof.slack_us), ms_of(proof.length_us));
+    out += wrapped(row_of(proof.xpu, 8) +
+                       fmt::format("{:>7}{:>7.1f} %  ", count, 100 * proof.load) + why,
+                   kProofColumns) +
+           "\n";
   }
   return out;
 }
 
 std::string chain_table(const AppSpec& app, const Policy& policy) {
-  std::string out = fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>9}\n", "chain", "worst case",
-                                "deadline", "lower bound", "gap");
+  std::string out =
+      row_of("chain", kNameColumns) +
+      fmt::format("{:>11}{:>11}{:>13}{:>8}\n", "worst case", "deadline", "lower bound", "gap");
   for (std::size_t c = 0; c < policy.chains.size(); ++c) {
     const ChainClaim& claim = policy.chains[c];
     const auto& deadline = app.chains[c].deadline_us;
     const double gap = static_cast<double>(claim.worst_case_us - claim.lower_bound_us) /
                        static_cast<double>(std::max<std::int64_t>(1, claim.worst_case_us));
-    out += fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>7.1f} %{}{}\n", claim.name,
-                       ms(claim.worst_case_us), deadline ? ms(*deadline) : "-",
-                       ms(claim.lower_bound_us), 100 * gap, claim.optimal ? "  optimal" : "",
-                       deadline && claim.worst_case_us > *deadline ? "  MISSED" : "");
+    out += row_of(claim.name, kNameColumns) +
+           fmt::format("{:>11}{:>11}{:>13}{:>6.1f} %{}\n", ms(claim.worst_case_us),
+                       deadline ? ms(*deadline) : "-", ms(claim.lower_bound_us), 100 * gap,
+                       deadline && claim.worst_case_us > *deadline ? " MISSED"
+                       : claim.optimal                             ? " optimal"
+                                                                   : "");
     if (claim.urgent_worst_case_us)
-      out += fmt::format("  {:<24}{:>14}\n", "  urgent", ms(*claim.urgent_worst_case_us));
+      out += row_of("  urgent", kNameColumns) +
+             fmt::format("{:>11}\n", ms(*claim.urgent_worst_case_us));
   }
   return out;
 }
@@ -253,34 +256,33 @@ Json cases_of(const AppSpec& app, const std::vector<keys::WhatIf>& ifs) {
   return list;
 }
 
+std::string what_it_brings(const AppSpec& app, const Policy& policy, const keys::WhatIf& what,
+                           double limit_s) {
+  if (what.outcome == keys::Outcome::kUnsustainable) return "no policy keeps up: " + what.overload;
+  if (what.outcome != keys::Outcome::kPolicy)
+    return fmt::format("unknown: no policy found in {:.2f} s", limit_s);
+  std::string changes;
+  for (std::size_t c = 0; c < what.worst_case_us.size(); ++c) {
+    if (!policy.certified) {
+      changes += fmt::format("{}{} {}", c == 0 ? "certified: " : ", ", app.chains[c].name,
+                             exact_ms(what.worst_case_us[c]));
+      continue;
+    }
+    const std::int64_t more = what.worst_case_us[c] - policy.chains[c].worst_case_us;
+    if (more != 0)
+      changes += fmt::format("{}{} {:+.3f} ms", changes.empty() ? "" : ", ", app.chains[c].name,
+                             static_cast<double>(more) / 1000);
+  }
+  return changes.empty() ? "no chain changes" : changes;
+}
+
 /// A line per case: the chains that change, and by how much. Each was searched for `limit_s`.
 std::string what_if_table(const AppSpec& app, const Policy& policy,
                           const std::vector<keys::WhatIf>& ifs, double limit_s) {
   std::string out;
   if (!ifs.empty()) out += "\n  What if ... (by the solver alone)\n";
   for (const keys::WhatIf& what : ifs) {
-    out += fmt::format("  {:<34}", what.change);
-    if (what.outcome != keys::Outcome::kPolicy) {
-      out += what.outcome == keys::Outcome::kUnsustainable
-                 ? "no policy keeps up: " + what.overload + "\n"
-                 : fmt::format("unknown: no policy found in {:.2f} s\n", limit_s);
-      continue;
-    }
-    std::string changes;
-    if (!policy.certified) {
-      for (std::size_t c = 0; c < what.worst_case_us.size(); ++c)
-        changes += fmt::format("{}{} {}", c == 0 ? "certified: " : ", ", app.chains[c].name,
-                               exact_ms(what.worst_case_us[c]));
-      out += changes + "\n";
-      continue;
-    }
-    for (std::size_t c = 0; c < what.worst_case_us.size(); ++c) {
-      const std::int64_t more = what.worst_case_us[c] - policy.chains[c].worst_case_us;
-      if (more != 0)
-        changes += fmt::format("{}{} {:+.3f} ms", changes.empty() ? "" : ", ", app.chains[c].name,
-                               static_cast<double>(more) / 1000);
-    }
-    out += (changes.empty() ? "no chain changes" : changes) + "\n";
+    out += wrapped(row_of(what.change, 34) + what_it_brings(app, policy, what, limit_s), 36) + "\n";
   }
   return out;
 }
@@ -293,7 +295,8 @@ void tell_proof(const AppSpec& app, const keys::OverloadProof& proof, Json& told
   for (const auto& [xnode, share] : proof.causes) {
     const std::string& name = app.xnodes[static_cast<std::size_t>(xnode)].name;
     causes.push_back({{"xnode", name}, {"share_pct", static_cast<double>(share) / 10}});
-    list += fmt::format("  {:<24}{:>7.1f} %\n", name, static_cast<double>(share) / 10);
+    list +=
+        row_of(name, kNameColumns) + fmt::format("{:>7.1f} %\n", static_cast<double>(share) / 10);
   }
   Json weights = Json::object();
   std::string prices;
@@ -325,31 +328,32 @@ void tell_policy(const AppSpec& app, const Platform& platform, const keys::Uncer
                  Json& told, std::string& text) {
   Json xpus = Json::array(), chains = Json::array();
   text +=
-      fmt::format("\n  {:<10}{:>7}{:>16}{:>16}\n", "XPU", "XNodes", "load at WCETs", "usual load");
+      fmt::format("\n  {:<9}{:>7}{:>14}{:>12}\n", "XPU", "XNodes", "load at WCETs", "usual load");
   for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
     const auto count =
         std::ranges::count(found.policy.placements, static_cast<int>(x), &Placement::xpu);
     const auto& [at_wcets, usual] = found.load[x];
-    text += fmt::format("  {:<10}{:>7}{:>14.1f} %{:>14.1f} %{}\n", platform.xpus[x].id, count,
-                        100 * at_wcets, 100 * usual,
-                        usual > 1      ? "   more than it can do, even usually"
-                        : at_wcets > 1 ? "   full at WCETs"
+    text += row_of(platform.xpus[x].id, 9) +
+            fmt::format("{:>7}{:>12.1f} %{:>10.1f} %{}\n", count, 100 * at_wcets, 100 * usual,
+                        usual > 1      ? "  more than it can do, even usually"
+                        : at_wcets > 1 ? "  full at WCETs"
                                        : "");
     xpus.push_back(
         {{"xpu", platform.xpus[x].id}, {"load_at_wcets", at_wcets}, {"usual_load", usual}});
   }
   told["xpus"] = std::move(xpus);
   if (found.played) {
-    text += fmt::format("\n  {:<24}{:>14}{:>14}{:>14}{:>14}\n", "chain, played", "median", "99 %",
-                        "longest seen", "deadline");
+    text += "\n" + row_of("chain, played", 22) +
+            fmt::format("{:>12}{:>12}{:>14}{:>12}\n", "median", "99 %", "longest seen", "deadline");
     for (std::size_t c = 0; c < app.chains.size(); ++c) {
       const keys::PlayedChain& chain = found.played->chains[c];
       const auto& deadline = app.chains[c].deadline_us;
       const auto seen = [&](double us) { return chain.releases > 0 ? ms_of(us) : "-"; };
-      text += fmt::format(
-          "  {:<24}{:>14}{:>14}{:>14}{:>14}{}\n", chain.name, seen(chain.median_us),
-          seen(chain.p99_us), seen(chain.longest_us), deadline ? exact_ms(*deadline) : "-",
-          deadline && chain.longest_us > static_cast<double>(*deadline) ? "   late" : "");
+      text += row_of(chain.name, 22) +
+              fmt::format(
+                  "{:>12}{:>12}{:>14}{:>12}{}\n", seen(chain.median_us), seen(chain.p99_us),
+                  seen(chain.longest_us), deadline ? exact_ms(*deadline) : "-",
+                  deadline && chain.longest_us > static_cast<double>(*deadline) ? "  late" : "");
       chains.push_back({{"name", chain.name},
                         {"median_us", chain.median_us},
                         {"p99_us", chain.p99_us},
@@ -743,8 +747,10 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
   } else {
     std::cout << proof_table(policy, report) << "\n";
     for (std::size_t c = 0; c < report.chains.size(); ++c)
-      std::cout << fmt::format("  {}: {}, along {}\n", report.chains[c].name,
-                               ms(report.chains[c].derived_us), fmt::join(names(c), " > "));
+      std::cout << wrapped(fmt::format("  {}: {}, along {}", report.chains[c].name,
+                                       ms(report.chains[c].derived_us), fmt::join(names(c), " > ")),
+                           4)
+                << "\n";
     if (!report.chains.empty())
       std::cout << fmt::format(
                        "\n  The worst off is {}. Its XNodes elsewhere, and those of the tightest "
@@ -836,23 +842,27 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
     std::cout << root.dump(2) << "\n";
     return status;
   }
-  for (const std::string& lie : lies) std::cout << "  LIE    " << lie << "\n";
+  for (const std::string& lie : lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
   if (!report.windows.empty())
     std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
   if (!report.chains.empty())
-    std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
-                             "the worst path");
+    std::cout << "\n"
+              << row_of("chain", kNameColumns)
+              << fmt::format("{:>11}{:>11}\n", "derived", "claimed");
   for (std::size_t c = 0; c < report.chains.size(); ++c) {
     const keys::ChainProof& chain = report.chains[c];
-    std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
-                             ms(chain.claimed_us), fmt::join(paths[c], " > "),
+    std::cout << row_of(chain.name, kNameColumns)
+              << fmt::format("{:>11}{:>11}{}\n", ms(chain.derived_us), ms(chain.claimed_us),
                              chain.late() ? "   MISSED" : "");
     if (chain.urgent_us)
-      std::cout << fmt::format("  {:<24}{:>14}{:>14}\n", "  urgent", ms(*chain.urgent_us),
+      std::cout << row_of("  urgent", kNameColumns)
+                << fmt::format("{:>11}{:>11}\n", ms(*chain.urgent_us),
                                ms(chain.claimed_urgent_us.value_or(0)));
+    std::cout << wrapped(fmt::format("    along {}", fmt::join(paths[c], " > ")), 6) << "\n";
   }
-  for (const std::string& wish : broken) std::cout << "  MISSED " << wish << "\n";
-  for (const std::string& taken : report.taken) std::cout << "  taken  " << taken << "\n";
+  for (const std::string& wish : broken) std::cout << wrapped("  MISSED " + wish, 9) << "\n";
+  for (const std::string& taken : report.taken)
+    std::cout << wrapped("  taken  " + taken, 9) << "\n";
   std::cout << (lies.empty()
                     ? fmt::format("\n{} tells the truth: {}.\n", path, scope_of(app.one_at_a_time))
                     : words_of_lies(path, lies.size()))
@@ -868,8 +878,9 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
   XAUTO_TRY(outputs.expect("--out", out));
   XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, asked));
   Json xnodes = Json::array(), chains = Json::array();
-  std::string table = fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", "XNode", "XPU", "jobs",
-                                  "late", "suspended", "nearest its key");
+  std::string table =
+      row_of("XNode", 24) + left("XPU", 8) +
+      fmt::format("{:>9}{:>8}{:>11}{:>18}\n", "jobs", "late", "suspended", "nearest its key");
   for (std::size_t i = 0; i < played.xnodes.size(); ++i) {
     const keys::PlayedXNode& node = played.xnodes[i];
     const std::string& xpu = platform.xpus[static_cast<std::size_t>(policy.placements[i].xpu)].id;
@@ -880,11 +891,13 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
                       {"late", node.late},
                       {"suspended", node.suspended},
                       {"closest_us", near ? Json(node.closest_us) : Json()}});
-    table += fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", app.xnodes[i].name, xpu,
-                         node.jobs, node.late, node.suspended, near ? ms_of(node.closest_us) : "-");
+    table += row_of(app.xnodes[i].name, 24) + left(xpu, 8) +
+             fmt::format("{:>9}{:>8}{:>11}{:>18}\n", node.jobs, node.late, node.suspended,
+                         near ? ms_of(node.closest_us) : "-");
   }
-  table += fmt::format("\n  {:<24}{:>14}{:>14}{:>14}{:>14}{:>10}\n", "chain", "median", "99 %",
-                       "longest seen", "worst case", "releases");
+  table += "\n" + row_of("chain", 19) +
+           fmt::format("{:>12}{:>12}{:>14}{:>12}{:>9}\n", "median", "99 %", "longest seen",
+                       "worst case", "releases");
   bool exceeded = false;
   const auto worst = [](const std::optional<std::int64_t>& claimed_us) {
     return claimed_us ? exact_ms(*claimed_us) : "-";
@@ -898,15 +911,16 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
                   {"releases", chain.releases}};
     if (chain.claimed_us) entry["worst_case_us"] = *chain.claimed_us;
     const auto seen = [&](double us) { return chain.releases > 0 ? ms_of(us) : "-"; };
-    table += fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>14}{:>10}\n", chain.name,
-                         seen(chain.median_us), seen(chain.p99_us), seen(chain.longest_us),
-                         worst(chain.claimed_us), chain.releases);
+    table += row_of(chain.name, 19) + fmt::format("{:>12}{:>12}{:>14}{:>12}{:>9}\n",
+                                                  seen(chain.median_us), seen(chain.p99_us),
+                                                  seen(chain.longest_us), worst(chain.claimed_us),
+                                                  chain.releases);
     if (chain.urgent > 0) {
       Json urgent = {{"longest_us", chain.longest_urgent_us}, {"releases", chain.urgent}};
       if (chain.claimed_urgent_us) urgent["worst_case_us"] = *chain.claimed_urgent_us;
       entry["urgent"] = std::move(urgent);
       table +=
-          fmt::format("  {:<52}{:>14}{:>14}{:>10}\n", "  urgent", ms_of(chain.longest_urgent_us),
+          fmt::format("  {:<43}{:>14}{:>12}{:>9}\n", "  urgent", ms_of(chain.longest_urgent_us),
                       worst(chain.claimed_urgent_us), chain.urgent);
     }
     chains.push_back(std::move(entry));

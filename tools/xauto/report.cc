@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/log.h"
 #include "base/quantile.h"
 #include "model/json_value.h"
@@ -36,7 +37,7 @@ Json p99_of(const Latency& l) {
 
 /// "-" where nothing was measured.
 std::string in_ms(std::int64_t us, std::size_t count) {
-  return count == 0 ? "-" : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+  return ms_in_row(count == 0 ? -1 : us);
 }
 
 std::string p99_ms(const Latency& l) {
@@ -61,16 +62,17 @@ std::string chain_row(const std::string& name, const runtime::ChainAccount& chai
                       const char* mark = "") {
   const Latency l = summarise(chain.latency_us);
   const std::string worst = in_ms_if(chain.worst_case_us);
-  return fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}", name,
-                     in_ms(l.p50_us, l.count), p99_ms(l), in_ms(l.max_us, l.count),
-                     chain.worst_case_us > 0 ? mark + worst : worst, in_ms_if(chain.lower_bound_us),
+  return row_of(name, kNameColumns) +
+         fmt::format("{:>7}{:>7}{:>7}{:>8}{:>9}{:>7}{:>6}\n", in_ms(l.p50_us, l.count), p99_ms(l),
+                     in_ms(l.max_us, l.count), chain.worst_case_us > 0 ? mark + worst : worst,
                      chain.deadline_us > 0 ? in_ms(chain.deadline_us, 1) : "",
                      chain.deadline_us > 0 ? std::to_string(chain.deadline_misses) : "", l.count);
 }
 
 std::string chain_head(const std::string& name) {
-  return fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", name, "p50", "p99",
-                     "max", "worst case", "bound", "deadline", "missed", "n");
+  return row_of(name, kNameColumns) + fmt::format("{:>7}{:>7}{:>7}{:>8}{:>9}{:>7}{:>6}\n", "p50",
+                                                  "p99", "max", "claimed", "deadline", "missed",
+                                                  "n");
 }
 
 /// Chains, each beside what is claimed of it, and what became of the claims.
@@ -81,15 +83,14 @@ std::string chains_table(const PolicyRun& run) {
     out += chain_row(chain.name, chain);
     // By tables the worst case of the row is the largest of all: which one was exceeded is told below.
     if (chain.exceeded())
-      out += "  exceeded";
+      out += "    exceeded\n";
     else if (!run.tables && chain.worst_case_us > 0 && chain.longest_us > chain.worst_case_us)
-      out += "  within the emulator's part";
-    out += "\n";
+      out += "    within the emulator's part\n";
     if (chain.urgent_us.count() == 0) continue;
     const Latency u = summarise(chain.urgent_us);
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "  urgent",
-                       in_ms(u.p50_us, u.count), p99_ms(u), in_ms(u.max_us, u.count),
-                       in_ms_if(chain.urgent_worst_case_us), "", "", "", u.count);
+    out += row_of("  urgent", kNameColumns) +
+           fmt::format("{:>7}{:>7}{:>7}{:>8}{:>22}\n", in_ms(u.p50_us, u.count), p99_ms(u),
+                       in_ms(u.max_us, u.count), in_ms_if(chain.urgent_worst_case_us), u.count);
   }
   if (account.verdict() != runtime::Verdict::kNothingClaimed || !account.why_nothing.empty())
     out += fmt::format("\n  {}: {}\n", run.name, account.words(runtime::Layout::kList));
@@ -104,10 +105,10 @@ std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>&
   };
   std::string out = chain_head("chain");
   for (std::size_t c = 0; c < flags.app.chains.size(); ++c) {
-    out += "  " + flags.app.chains[c].name + "\n";
+    out += "  " + cut(flags.app.chains[c].name, kLineColumns - 2) + "\n";
     for (const PolicyRun& run : runs)
       if (c < run.report.account.chains.size())
-        out += chain_row("  " + run.name, run.report.account.chains[c], mark(run)) + "\n";
+        out += chain_row("  " + run.name, run.report.account.chains[c], mark(run));
   }
   for (const PolicyRun& run : runs)
     if (run.report.account.claims())
@@ -124,18 +125,13 @@ std::string limits_table(const PolicyRun& run, const std::string& who) {
   std::string out;
   if (std::any_of(run.report.account.chains.begin(), run.report.account.chains.end(),
                   [](const runtime::ChainAccount& r) { return r.max_age_us > 0; })) {
-    out += fmt::format("\n  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n",
-                       std::string(who.size(), ' '), "chain", "p50", "p99", "max", "deadline",
-                       "age max", "missed", "old", "n");
-    for (const runtime::ChainAccount& r : run.report.account.chains) {
-      const Latency l = summarise(r.latency_us);
-      out += fmt::format("  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", who, r.name,
-                         in_ms(l.p50_us, l.count), p99_ms(l), in_ms(l.max_us, l.count),
-                         r.deadline_us > 0 ? in_ms(r.deadline_us, 1) : "",
-                         in_ms(r.age_us.max(), r.age_us.count()),
-                         r.deadline_us > 0 ? std::to_string(r.deadline_misses) : "",
-                         r.max_age_us > 0 ? std::to_string(r.age_misses) : "", l.count);
-    }
+    out += "\n" + row_of(who + "chain", kNameColumns) +
+           fmt::format("{:>9}{:>9}{:>7}\n", "age max", "at most", "old");
+    for (const runtime::ChainAccount& r : run.report.account.chains)
+      out += row_of(who + r.name, kNameColumns) +
+             fmt::format("{:>9}{:>9}{:>7}\n", in_ms(r.age_us.max(), r.age_us.count()),
+                         r.max_age_us > 0 ? in_ms(r.max_age_us, 1) : "",
+                         r.max_age_us > 0 ? std::to_string(r.age_misses) : "");
   }
   if (const runtime::EarlyStartReport& early = run.report.early_starts; early.jobs > 0)
     out += fmt::format("  {}{} jobs began before their planned start, together by {} ms\n", who,
@@ -174,8 +170,8 @@ std::string spread_of(const std::vector<PolicyRun>& runs) {
   std::string out =
       "\n  Of a whole release, within a run, in ms, from the 10th to the 90th percentile:\n";
   for (const PolicyRun& run : runs)
-    out += fmt::format("  {:<28}{:>9} to {:>6}\n", run.name,
-                       in_ms(run.latency.p10_us, run.latency.count),
+    out += row_of(run.name, kNameColumns) +
+           fmt::format("{:>7} to {:>6}\n", in_ms(run.latency.p10_us, run.latency.count),
                        in_ms(run.latency.p90_us, run.latency.count));
   const auto holds = [](const PolicyRun& run, std::int64_t us) {
     return run.latency.p10_us <= us && us <= run.latency.p90_us;
@@ -287,13 +283,13 @@ std::string changes_text(const runtime::RunReport& report) {
 
 /// Releases of all sources, each with its own clock's. What is claimed is of chains.
 std::string tables_text(const runtime::RunReport& report) {
-  std::size_t width = 8;
-  for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
   std::string out =
-      fmt::format("\n  {:<{}}  {:<10}{:>10}\n", "scenario", width, "table", "releases");
+      "\n" + row_of("scenario", kNameColumns) + fmt::format("{:>10}  table\n", "releases");
   for (const runtime::ScenarioReport& s : report.scenarios)
     if (s.releases > 0)
-      out += fmt::format("  {:<{}}  {:<10}{:>10}\n", s.name, width, s.table, s.releases);
+      out += wrapped(row_of(s.name, kNameColumns) + fmt::format("{:>10}  {}", s.releases, s.table),
+                     6) +
+             "\n";
   return out +
          fmt::format("\n  {} change{} of the scenario\n", report.num_switches,
                      report.num_switches == 1 ? "" : "s") +
@@ -445,12 +441,14 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   if (by_chains)
     out += compared_chains(flags, runs);
   else
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>6}\n", "policy", "p50", "p99", "max", "n");
+    out += row_of("policy", kNameColumns) +
+           fmt::format("{:>7}{:>7}{:>7}{:>30}\n", "p50", "p99", "max", "n");
   for (const PolicyRun& run : runs) {
     if (by_chains) break;
     const Latency& l = run.latency;
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>6}\n", run.name, in_ms(l.p50_us, l.count),
-                       p99_ms(l), in_ms(l.max_us, l.count), l.count);
+    out += row_of(run.name, kNameColumns) + fmt::format("{:>7}{:>7}{:>7}{:>30}\n",
+                                                        in_ms(l.p50_us, l.count), p99_ms(l),
+                                                        in_ms(l.max_us, l.count), l.count);
   }
   if (runs.size() > 1 && !runs.front().report.several_rates) out += spread_of(runs);
   for (const PolicyRun& run : runs) {

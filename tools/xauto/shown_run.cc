@@ -9,14 +9,12 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/columns.h"
 
 #include "xauto/asking.h"
-#include "xauto/columns.h"
 
 namespace xauto::cli {
 namespace {
-
-constexpr std::size_t kNameColumns = 27;
 
 struct XpuLoad {
   std::string name, detail;

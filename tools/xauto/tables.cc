@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "model/claims.h"
 #include "model/drain.h"
 #include "model/json.h"
@@ -50,33 +51,53 @@ std::vector<std::string> missed_chains(const AppSpec& app, const Tables& tables)
   return missed;
 }
 
-int column(const Table& table) {
-  return std::max(12, static_cast<int>(table.name.size()));
+constexpr std::size_t kOfScenario = 24, kTableColumns = 12;
+
+/// The longest of a chain while one table takes the place of another.
+std::string any_change(const Tables& tables, std::size_t chain) {
+  std::optional<std::int64_t> most = 0;
+  for (const Handover& h : tables.handovers) {
+    if (h.worst_case_us[chain] == kNotThere) continue;
+    most = most && h.worst_case_us[chain] ? std::optional(std::max(*most, *h.worst_case_us[chain]))
+                                          : std::nullopt;
+  }
+  return most == 0 ? "-" : most ? ms(*most) : "not known";
 }
 
-/// What a chain takes in each table, and while one table takes the place of another.
-void print_chains(const AppSpec& app, const Platform& platform, const Tables& tables) {
-  std::size_t width = 5;
-  for (const ChainSpec& chain : app.chains) width = std::max(width, chain.name.size());
-  std::printf("\n  %-*s %12s", static_cast<int>(width), "chain", "deadline");
-  for (const Table& table : tables.tables) std::printf(" %*s", column(table), table.name.c_str());
-  std::printf(" %12s\n", "any change");
-  for (std::size_t c = 0; c < app.chains.size(); ++c) {
-    const auto& deadline = app.chains[c].deadline_us;
-    std::printf("  %-*s %12s", static_cast<int>(width), app.chains[c].name.c_str(),
-                deadline ? ms(*deadline).c_str() : "-");
-    for (std::size_t t = 0; t < tables.tables.size(); ++t) {
-      const std::int64_t us = tables.tables[t].keys.chains[c].worst_case_us;
-      std::printf(" %*s", column(tables.tables[t]), us == kNotThere ? "off" : ms(us).c_str());
-    }
-    std::optional<std::int64_t> most = 0;
-    for (const Handover& h : tables.handovers) {
-      if (h.worst_case_us[c] == kNotThere) continue;
-      most = most && h.worst_case_us[c] ? std::optional(std::max(*most, *h.worst_case_us[c]))
-                                        : std::nullopt;
-    }
-    std::printf(" %12s\n", most == 0 ? "-" : most ? ms(*most).c_str() : "not known");
+/// What chains take in each table, as many tables side by side as fit, and while one takes the place of another.
+std::string chains_text(const AppSpec& app, const Tables& tables) {
+  constexpr std::size_t kAtATime = (kLineColumns - 2 - kOfScenario) / kTableColumns;
+  const auto right = [](const std::string& text) {
+    return std::string(kTableColumns - columns_of(text), ' ') + text;
+  };
+  std::vector<std::pair<std::string, std::vector<std::string>>> columns(1, {"deadline", {}});
+  for (const ChainSpec& chain : app.chains)
+    columns[0].second.push_back(chain.deadline_us ? ms(*chain.deadline_us) : "-");
+  for (const Table& table : tables.tables) {
+    auto& [name, cells] = columns.emplace_back(table.name, std::vector<std::string>());
+    for (const ChainClaim& claim : table.keys.chains)
+      cells.push_back(claim.worst_case_us == kNotThere ? "off" : ms(claim.worst_case_us));
   }
+  columns.push_back({"any change", {}});
+  for (std::size_t c = 0; c < app.chains.size(); ++c)
+    columns.back().second.push_back(any_change(tables, c));
+  std::string out;
+  for (std::size_t first = 0; first < columns.size(); first += kAtATime) {
+    const std::size_t end = std::min(columns.size(), first + kAtATime);
+    out += "\n" + row_of("chain", kOfScenario);
+    for (std::size_t i = first; i < end; ++i)
+      out += right(cut(columns[i].first, kTableColumns - 1));
+    for (std::size_t c = 0; c < app.chains.size(); ++c) {
+      out += "\n" + row_of(app.chains[c].name, kOfScenario);
+      for (std::size_t i = first; i < end; ++i) out += right(columns[i].second[c]);
+    }
+    out += "\n";
+  }
+  return out;
+}
+
+void print_chains(const AppSpec& app, const Platform& platform, const Tables& tables) {
+  std::fputs(chains_text(app, tables).c_str(), stdout);
   std::int64_t settles = 0;
   for (const Handover& h : tables.handovers) settles = std::max(settles, h.settles_us);
   if (settles > 0)
@@ -124,26 +145,23 @@ std::string memory_text(const InstanceMemory& memory, std::size_t all) {
 
 void print_tables(const AppSpec& app, const Platform& platform, const Tables& tables,
                   bool tried_all) {
-  std::size_t width = 8, table_width = 10;
-  for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
-  for (const Table& t : tables.tables) table_width = std::max(table_width, t.name.size());
   const std::size_t count = tables.tables.size();
   std::printf("%s on %s: %zu scenarios, %zu table%s, %.2f s\n\n", app.name.c_str(),
               tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
               static_cast<double>(tables.solve_ms) / 1000);
   const bool deadlines = std::any_of(app.chains.begin(), app.chains.end(),
                                      [](const ChainSpec& c) { return c.deadline_us.has_value(); });
-  std::printf("  %-*s  %-*s %12s %12s %8s\n", static_cast<int>(width), "scenario",
-              static_cast<int>(table_width), "table", "worst case", "lower bound", "regret");
+  std::printf("%s%12s%13s%8s  table\n", row_of("scenario", kOfScenario).c_str(), "worst case",
+              "lower bound", "regret");
   std::size_t worst = 0;
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const Served& served = tables.serves[s];
     if (regret_of(served) > regret_of(tables.serves[worst])) worst = s;
-    std::printf("  %-*s  %-*s %12s %12s %8.3f\n", static_cast<int>(width),
-                tables.scenarios[s].name.c_str(), static_cast<int>(table_width),
-                tables.tables[static_cast<std::size_t>(served.table)].name.c_str(),
-                ms(served.worst_case_us).c_str(), ms(served.lower_bound_us).c_str(),
-                regret_of(served));
+    const std::string& table = tables.tables[static_cast<std::size_t>(served.table)].name;
+    const std::string row = row_of(tables.scenarios[s].name, kOfScenario) +
+                            fmt::format("{:>12}{:>13}{:>8.3f}  {}", ms(served.worst_case_us),
+                                        ms(served.lower_bound_us), regret_of(served), table);
+    std::printf("%s\n", wrapped(row, 6).c_str());
   }
   std::printf(
       "\n  worst regret %.3f, under '%s'.%s Each worst case is certified, of %s, at the scenario's "
@@ -263,10 +281,10 @@ Result<int> check_tables(const AppSpec& app, const Platform& platform, const std
               << "\n";
     return status;
   }
-  for (const std::string& lie : v.lies) std::cout << "  LIE    " << lie << "\n";
-  for (const std::string& one : missed) std::cout << "  MISSED " << one << "\n";
-  for (const std::string& shown : v.shown) std::cout << "  shown  " << shown << "\n";
-  for (const std::string& taken : v.taken) std::cout << "  taken  " << taken << "\n";
+  for (const std::string& lie : v.lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
+  for (const std::string& one : missed) std::cout << wrapped("  MISSED " + one, 9) << "\n";
+  for (const std::string& shown : v.shown) std::cout << wrapped("  shown  " + shown, 9) << "\n";
+  for (const std::string& taken : v.taken) std::cout << wrapped("  taken  " + taken, 9) << "\n";
   std::cout << (v.truthful() ? fmt::format("\n{} tells the truth; its worst regret is {:.3f}.\n",
                                            path, v.worst_regret)
                              : words_of_lies(path, v.lies.size()))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/columns.h"
+#include "base/columns.h"
 
 #include <algorithm>
 
@@ -7,7 +7,7 @@
 
 #include "base/utf8.h"
 
-namespace xauto::cli {
+namespace xauto {
 namespace {
 
 constexpr std::string_view kArrow = " -> ", kEllipsis = "…";
@@ -95,4 +95,4 @@ std::string wrapped(std::string_view text, std::size_t indent) {
   return out;
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto

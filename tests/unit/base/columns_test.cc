@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Text in columns: what is too long is cut, and lines end before column 80.
-#include "xauto/columns.h"
+#include "base/columns.h"
 
 #include <gtest/gtest.h>
 
-namespace xauto::cli {
+namespace xauto {
 namespace {
 
 TEST(Columns, ACharacterIsOne) {
@@ -56,4 +56,4 @@ TEST(Columns, LinesEndBeforeColumn80) {
 }
 
 }  // namespace
-}  // namespace xauto::cli
+}  // namespace xauto

@@ -7,9 +7,10 @@
 #include <string>
 #include <string_view>
 
-namespace xauto::cli {
+namespace xauto {
 
 constexpr std::size_t kLineColumns = 80;
+constexpr std::size_t kNameColumns = 27;  ///< "camera/front -> pr.predict", and a blank
 
 /// Of UTF-8; a character is a column.
 [[nodiscard]] std::size_t columns_of(std::string_view text);
@@ -31,4 +32,4 @@ constexpr std::size_t kLineColumns = 80;
 /// `indent` blanks.
 [[nodiscard]] std::string wrapped(std::string_view text, std::size_t indent);
 
-}  // namespace xauto::cli
+}  // namespace xauto
