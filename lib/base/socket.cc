@@ -41,15 +41,21 @@ Result<socklen_t> fill(sockaddr_un& name, const std::string& address) {
 
 }  // namespace
 
-Result<UniqueFd> listen_abstract(const std::string& address) {
+Result<UniqueFd> hold_abstract(const std::string& address) {
   sockaddr_un name;
   XAUTO_ASSIGN(const socklen_t length, fill(name, address));
   UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), address);
-  if (bind(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0 ||
-      listen(socket.get(), 64) != 0)
+  if (bind(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0)
     return fail(errno == EADDRINUSE ? ErrorCode::kUnavailable : ErrorCode::kIo,
                 errno_text("cannot listen"), address);
+  return socket;
+}
+
+Result<UniqueFd> listen_abstract(const std::string& address) {
+  XAUTO_ASSIGN(UniqueFd socket, hold_abstract(address));
+  if (listen(socket.get(), 64) != 0)
+    return fail(ErrorCode::kIo, errno_text("cannot listen"), address);
   return socket;
 }
 
@@ -207,7 +213,9 @@ void drain_eventfd(int fd) {
   [[maybe_unused]] const ssize_t got = preadv2(fd, &part, 1, -1, RWF_NOWAIT);  // empty: nothing
 }
 
-std::vector<std::string> abstract_sockets(const std::string& prefix) {
+namespace {
+
+std::vector<std::string> names_of(const std::string& prefix, bool listening) {
   // Num RefCount Protocol Flags Type St Inode Path; listening: flag __SO_ACCEPTCON (0x10000).
   std::vector<std::string> names;
   std::ifstream table("/proc/net/unix");
@@ -216,13 +224,23 @@ std::vector<std::string> abstract_sockets(const std::string& prefix) {
     std::istringstream fields(line);
     std::string num, references, protocol, flags, type, state, inode, path;
     fields >> num >> references >> protocol >> flags >> type >> state >> inode >> path;
-    if (flags == "00010000" && path.size() > 1 && path[0] == '@' &&
+    if ((!listening || flags == "00010000") && path.size() > 1 && path[0] == '@' &&
         path.compare(1, prefix.size(), prefix) == 0)
       names.push_back(path.substr(1));
   }
   std::sort(names.begin(), names.end());
   names.erase(std::unique(names.begin(), names.end()), names.end());
   return names;
+}
+
+}  // namespace
+
+std::vector<std::string> abstract_sockets(const std::string& prefix) {
+  return names_of(prefix, true);
+}
+
+std::vector<std::string> abstract_names(const std::string& prefix) {
+  return names_of(prefix, false);
 }
 
 }  // namespace xauto

@@ -20,6 +20,8 @@ namespace xauto {
 /// `address`: without the leading NUL, at most 100 bytes.
 /// kUnavailable: somebody has it.
 [[nodiscard]] Result<UniqueFd> listen_abstract(const std::string& address);
+/// Has the name, and takes nobody in. Errors as above.
+[[nodiscard]] Result<UniqueFd> hold_abstract(const std::string& address);
 /// Our own user or root must serve it, else kPermission. Waits at most `timeout_ms` for a place in the
 /// server's queue, which whoever does not accept leaves full.
 [[nodiscard]] Result<UniqueFd> connect_abstract(const std::string& address,
@@ -54,5 +56,7 @@ void drain_eventfd(int fd);
 
 /// Names of the abstract sockets in /proc/net/unix that start with `prefix` and are listening.
 [[nodiscard]] std::vector<std::string> abstract_sockets(const std::string& prefix);
+/// ... and of those that are only held, or connected.
+[[nodiscard]] std::vector<std::string> abstract_names(const std::string& prefix);
 
 }  // namespace xauto

@@ -37,7 +37,8 @@ Result<Sockets> Sockets::open(const std::vector<std::string>& names) {
     for (const std::string& name : names) {
       Socket& socket = all.sockets_[name];
       socket.address = kSocketPrefix + all.run_ + "/" + secret + "/" + name;
-      auto listener = listen_abstract(socket.address);
+      auto listener = name.starts_with(runtime::kMark) ? hold_abstract(socket.address)
+                                                       : listen_abstract(socket.address);
       if (!listener) {
         status = tl::unexpected<Error>(std::move(listener).error());
         break;

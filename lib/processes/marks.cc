@@ -63,7 +63,7 @@ std::string run_of_address(const std::string& address) {
 
 std::vector<Holder> holders(const std::string& own) {
   std::vector<Holder> found;
-  for (const std::string& address : abstract_sockets(kSocketPrefix)) {
+  for (const std::string& address : abstract_names(kSocketPrefix)) {
     const std::size_t first = address.find('/', std::strlen(kSocketPrefix)),
                       last = address.rfind('/');
     if (first == std::string::npos || address.compare(last + 1, std::strlen(kMark), kMark) != 0)

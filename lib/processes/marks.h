@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Who has a real XPU: each run listens at a socket per real XPU that it uses, and takes nobody in there, so that all of
-// this machine's users and runs see it in /proc/net/unix. A claim takes for granted that each XPU serves one app alone.
-// Other network namespaces are not seen. Anybody can listen at such a name: who is named may be a liar.
+// Who has a real XPU: each run holds the name of a socket per real XPU, which takes nobody in, so that all users and runs
+// of this machine see it in /proc/net/unix. A claim takes for granted that each XPU serves one app alone.
+// Other network namespaces are not seen. Anybody can hold such a name: who is named may be a liar.
 #pragma once
 
 #include <string>

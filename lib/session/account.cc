@@ -89,8 +89,9 @@ std::string Account::verdict_words(Layout layout) const {
       said == Verdict::kNotClaimed   ? "not claimed here:"
       : said == Verdict::kBothBroken ? "exceeded, and not claimed here:"
       : why.empty()
-          ? "exceeded, though nothing that is watched was broken; if nothing else used its XPUs, "
-            "which no run watches, and `xauto check` agrees to the policy, please report this run"
+          ? "exceeded, though nothing that is watched was broken; if nothing else used its "
+            "GPUs and DLAs, which no run watches, and `xauto check` agrees to the policy, please "
+            "report this run"
           : "exceeded; the app broke nothing that is watched, but:";
   const bool list = layout == Layout::kList && why.size() > 1;
   for (std::size_t i = 0; i < why.size(); ++i)

@@ -31,7 +31,7 @@ CONTRAST = """(() => {
   }
   return least; })()"""
 PANELS = "[...document.querySelectorAll('section')].filter(s => s.querySelector('svg'))"
-POLICIES = ("ROS 2 model", "HEFT", "XAuto", "XAuto without scheduling")
+POLICIES = ("ROS 2 model", "HEFT", "XAuto", "XAuto, unscheduled")
 
 
 class Page(unittest.TestCase):

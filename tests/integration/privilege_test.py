@@ -175,7 +175,11 @@ class Privilege(unittest.TestCase):
         for address in addresses:
             with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as peer:
                 peer.settimeout(10)
-                peer.connect("\0" + address[1:])
+                try:
+                    peer.connect("\0" + address[1:])
+                except ConnectionRefusedError:
+                    assert "/real:" in address, address  # a name that takes nobody in
+                    continue
                 for packet in (b"\x04\0\0\0", b"\x01\0\0\0\x02\0\0\0" + bytes(1096), os.urandom(500)):
                     try:
                         peer.send(packet)

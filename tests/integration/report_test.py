@@ -65,13 +65,16 @@ class Page(html.parser.HTMLParser):
     def panel(self, heading):
         return next(e for e in self.root.all("section") if next(e.all("h2")).text() == heading)
 
-    def table(self, first):
-        """Of the table whose first head is `first`: {first cell: [other cells]}."""
+    def rows(self, first):
+        """Of the table whose first head is `first`: its cells."""
         for table in self.root.all("table"):
             rows = [[c.text() for c in row.children] for row in table.all("tr")]
             if rows[0][0] == first:
-                return {row[0]: row[1:] for row in rows[1:]}
+                return rows[1:]
         raise AssertionError(first)
+
+    def table(self, first):
+        return {row[0]: row[1:] for row in self.rows(first)}
 
 
 def quantile(values, q):

@@ -160,16 +160,12 @@ class Tables(unittest.TestCase):
         done = xauto("report", "t.pftrace", "--out", "t.html", cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
         page = Page((self.folder / "t.html").read_text())
-        table = lambda head: next(t[1:] for t in page.tables if t and t[0] and t[0][0] == head)
         ms = lambda us: "-" if us is None else f"{us / 1000:.2f}"
-        self.assertEqual(table("scenario"), [[s["name"], s["table"], str(s["releases"])] for s in report["scenarios"]])
-        rows = table("from release")
+        self.assertEqual(page.rows("scenario"), [[s["name"], s["table"], str(s["releases"])] for s in report["scenarios"]])
+        rows = page.rows("from release")
         self.assertEqual([[r[0], *r[2:5], r[5].split(":")[0], *r[6:]] for r in rows],
                          [[str(s["release"]), s["from"], s["to"], s["table"], s["why"],
                            ms(s["spanned_us"]) + (f" of {s['chain']}" if "chain" in s else ""), ms(s.get("worst_case_us"))] for s in report["switches"]])
-        nearest = self.nearest(report)
-        self.assertIn(f"Of what met a change the nearest to its worst case, a result of {nearest['chain']}, took "
-                      f"{ms(nearest['spanned_us'])} ms of", page.text)
 
     @staticmethod
     def nearest(report):

@@ -71,14 +71,14 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
   const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 3});
   const std::string core = hardware_of(session.platform, session.presence)[0];
   const std::string run = std::to_string(getpid()) + "-77";
-  const auto listen = [](const std::string& name) {
-    auto socket = listen_abstract(name);
+  const auto hold = [](const std::string& name) {
+    auto socket = hold_abstract(name);
     EXPECT_TRUE(socket) << socket.error().to_string();
     return std::move(*socket);
   };
-  const UniqueFd own = listen("xauto/1-0/aa/real:gpu0"),
-                 emulated = listen("xauto/" + run + "/bb/real:dla0"),
-                 theirs = listen("xauto/" + run + "/bb/real:" + core);
+  const UniqueFd own = hold("xauto/1-0/aa/real:gpu0"),
+                 emulated = hold("xauto/" + run + "/bb/real:dla0"),
+                 theirs = hold("xauto/" + run + "/bb/real:" + core);
   ForeignWatch watch(session, *board, true);
   watch.look(2'000'000'000);
   EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of user "), std::string::npos);
