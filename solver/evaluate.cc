@@ -8,47 +8,48 @@
 #include "base/index.h"
 
 namespace xauto::solver {
+
 Evaluator::Evaluator(const Problem& problem)
     : problem_(problem), n_(at(problem.num_xnodes)), m_(at(problem.num_xpus)) {
-  succ_begin_.assign(n_ + 1, 0);
-  pred_begin_.assign(n_ + 1, 0);
+  links_.succ_begin.assign(n_ + 1, 0);
+  links_.pred_begin.assign(n_ + 1, 0);
   in_degree_.resize(n_);
-  topo_rank_.resize(n_);
+  links_.topo_rank.resize(n_);
   for (std::size_t i = 0; i < n_; ++i) {
-    for (int s : problem.succ[i]) succ_list_.push_back(s);
-    for (int p : problem.pred[i]) pred_list_.push_back(p);
-    succ_begin_[i + 1] = static_cast<int>(succ_list_.size());
-    pred_begin_[i + 1] = static_cast<int>(pred_list_.size());
+    for (int s : problem.succ[i]) links_.succ_list.push_back(s);
+    for (int p : problem.pred[i]) links_.pred_list.push_back(p);
+    links_.succ_begin[i + 1] = static_cast<int>(links_.succ_list.size());
+    links_.pred_begin[i + 1] = static_cast<int>(links_.pred_list.size());
     in_degree_[i] = static_cast<std::uint16_t>(problem.pred[i].size());
-    if (problem.pred[i].empty()) sources_.push_back(static_cast<int>(i));
+    if (problem.pred[i].empty()) links_.sources.push_back(static_cast<int>(i));
   }
   for (std::size_t k = 0; k < problem.topo.size(); ++k)
-    topo_rank_[at(problem.topo[k])] = static_cast<int>(k);
-  xpu_.assign(n_, -1);
-  sequence_.assign(n_, -1);
-  position_.assign(n_, -1);
-  work_.assign(n_, 0);
-  tail_.assign(n_, 0);
-  load_.assign(m_, 0);
-  status_.assign(n_, kWaiting);
-  missing_.assign(n_, 0);
-  remaining_.assign(n_, 0);
-  end_.assign(m_, kNever);
-  running_.assign(m_, -1);
+    links_.topo_rank[at(problem.topo[k])] = static_cast<int>(k);
+  solution_.xpu.assign(n_, -1);
+  solution_.sequence.assign(n_, -1);
+  solution_.position.assign(n_, -1);
+  solution_.work.assign(n_, 0);
+  solution_.tail.assign(n_, 0);
+  solution_.load.assign(m_, 0);
+  state_.status.assign(n_, kWaiting);
+  state_.missing.assign(n_, 0);
+  state_.remaining.assign(n_, 0);
+  state_.end.assign(m_, kNever);
+  state_.running.assign(m_, -1);
   words_ = (n_ + 63) / 64;
   ready_.assign(m_ * words_, 0);
   ready_count_.assign(m_, 0);
   touched_.assign(m_, 0);
-  waits_for_.assign(n_, -1);
-  first_waiting_.assign(n_, -1);
-  next_waiting_.assign(n_, -1);
-  released_at_.assign(n_, 0);
-  ready_at_.assign(n_, 0);
-  started_at_.assign(n_, 0);
-  finished_at_.assign(n_, 0);
+  solution_.waits_for.assign(n_, -1);
+  solution_.first_waiting.assign(n_, -1);
+  solution_.next_waiting.assign(n_, -1);
+  committed_.released_at.assign(n_, 0);
+  committed_.ready_at.assign(n_, 0);
+  committed_.started_at.assign(n_, 0);
+  committed_.finished_at.assign(n_, 0);
   in_queue_.assign(n_, 0);
   // Few snapshots where they are large: beyond that, copying state costs more than it saves.
-  stride_ = std::max<std::size_t>(1, n_ / (n_ > 200 ? 32 : 64));
+  kept_.stride = std::max<std::size_t>(1, n_ / (n_ > 200 ? 32 : 64));
 }
 
 void Evaluator::reset(const std::vector<int>& xpu, const std::vector<int>& sequence,
@@ -56,26 +57,27 @@ void Evaluator::reset(const std::vector<int>& xpu, const std::vector<int>& seque
   edits_.clear();
   for (std::size_t i = 0; i < n_; ++i)
     link(static_cast<int>(i), waits_for.empty() ? -1 : waits_for[i]);
-  xpu_ = xpu;
-  sequence_ = sequence;
-  std::fill(load_.begin(), load_.end(), 0);
-  for (std::size_t k = 0; k < n_; ++k) position_[at(sequence_[k])] = static_cast<int>(k);
+  solution_.xpu = xpu;
+  solution_.sequence = sequence;
+  std::fill(solution_.load.begin(), solution_.load.end(), 0);
+  for (std::size_t k = 0; k < n_; ++k)
+    solution_.position[at(solution_.sequence[k])] = static_cast<int>(k);
   for (std::size_t i = 0; i < n_; ++i) {
-    work_[i] = problem_.wcet_on(static_cast<int>(i), xpu_[i]);
-    load_[at(xpu_[i])] += work_[i];
+    solution_.work[i] = problem_.wcet_on(static_cast<int>(i), solution_.xpu[i]);
+    solution_.load[at(solution_.xpu[i])] += solution_.work[i];
   }
   for (std::size_t k = n_; k-- > 0;) {
     const std::size_t i = at(problem_.topo[k]);
     Time tail = 0;
-    for (int e = succ_begin_[i]; e < succ_begin_[i + 1]; ++e) {
-      const std::size_t s = at(succ_list_[at(e)]);
-      tail = std::max(tail, work_[s] + tail_[s]);
+    for (int e = links_.succ_begin[i]; e < links_.succ_begin[i + 1]; ++e) {
+      const std::size_t s = at(links_.succ_list[at(e)]);
+      tail = std::max(tail, solution_.work[s] + solution_.tail[s]);
     }
-    tail_[i] = tail;
+    solution_.tail[i] = tail;
   }
   dirty_from_ = kNever;
   start_from_scratch();
-  snapshots_used_ = 0;
+  kept_.used = 0;
   makespan_ = run<true>(kNever);
 }
 
@@ -84,100 +86,101 @@ void Evaluator::update_tails(int xnode) {
   std::vector<int>& queue = touched_list_;  // free outside run()
   queue.clear();
   auto push = [&](std::size_t i) {
-    for (int e = pred_begin_[i]; e < pred_begin_[i + 1]; ++e) {
-      const int p = pred_list_[at(e)];
+    for (int e = links_.pred_begin[i]; e < links_.pred_begin[i + 1]; ++e) {
+      const int p = links_.pred_list[at(e)];
       if (in_queue_[at(p)]) continue;
       in_queue_[at(p)] = 1;
       queue.push_back(p);
-      std::push_heap(queue.begin(), queue.end(),
-                     [&](int a, int b) { return topo_rank_[at(a)] < topo_rank_[at(b)]; });
+      std::push_heap(queue.begin(), queue.end(), [&](int a, int b) {
+        return links_.topo_rank[at(a)] < links_.topo_rank[at(b)];
+      });
     }
   };
   push(at(xnode));
   while (!queue.empty()) {
     std::pop_heap(queue.begin(), queue.end(),
-                  [&](int a, int b) { return topo_rank_[at(a)] < topo_rank_[at(b)]; });
+                  [&](int a, int b) { return links_.topo_rank[at(a)] < links_.topo_rank[at(b)]; });
     const std::size_t i = at(queue.back());
     queue.pop_back();
     in_queue_[i] = 0;
     Time tail = 0;
-    for (int e = succ_begin_[i]; e < succ_begin_[i + 1]; ++e) {
-      const std::size_t s = at(succ_list_[at(e)]);
-      tail = std::max(tail, work_[s] + tail_[s]);
+    for (int e = links_.succ_begin[i]; e < links_.succ_begin[i + 1]; ++e) {
+      const std::size_t s = at(links_.succ_list[at(e)]);
+      tail = std::max(tail, solution_.work[s] + solution_.tail[s]);
     }
-    if (tail == tail_[i]) continue;
-    tail_[i] = tail;
+    if (tail == solution_.tail[i]) continue;
+    solution_.tail[i] = tail;
     push(i);
   }
 }
 
 void Evaluator::assign(int xnode, int xpu) {
   const std::size_t i = at(xnode);
-  if (xpu_[i] == xpu) return;
-  edits_.push_back({xnode, xpu_[i], position_[i], waits_for_[i]});
-  dirty_from_ = std::min(dirty_from_, released_at_[i]);
-  for (int w = first_waiting_[i]; w >= 0; w = next_waiting_[at(w)])
-    dirty_from_ = std::min(dirty_from_, released_at_[at(w)]);
-  load_[at(xpu_[i])] -= work_[i];
-  const Time before = work_[i];
-  xpu_[i] = xpu;
-  work_[i] = problem_.wcet_on(xnode, xpu);
-  load_[at(xpu)] += work_[i];
-  if (work_[i] != before) update_tails(xnode);
+  if (solution_.xpu[i] == xpu) return;
+  edits_.push_back({xnode, solution_.xpu[i], solution_.position[i], solution_.waits_for[i]});
+  dirty_from_ = std::min(dirty_from_, committed_.released_at[i]);
+  for (int w = solution_.first_waiting[i]; w >= 0; w = solution_.next_waiting[at(w)])
+    dirty_from_ = std::min(dirty_from_, committed_.released_at[at(w)]);
+  solution_.load[at(solution_.xpu[i])] -= solution_.work[i];
+  const Time before = solution_.work[i];
+  solution_.xpu[i] = xpu;
+  solution_.work[i] = problem_.wcet_on(xnode, xpu);
+  solution_.load[at(xpu)] += solution_.work[i];
+  if (solution_.work[i] != before) update_tails(xnode);
 }
 
 void Evaluator::move_position(int xnode, int position) {
-  const int from = position_[at(xnode)];
+  const int from = solution_.position[at(xnode)];
   if (from < position) {
     for (int k = from; k < position; ++k) {
-      sequence_[at(k)] = sequence_[at(k + 1)];
-      position_[at(sequence_[at(k)])] = k;
+      solution_.sequence[at(k)] = solution_.sequence[at(k + 1)];
+      solution_.position[at(solution_.sequence[at(k)])] = k;
     }
   } else {
     for (int k = from; k > position; --k) {
-      sequence_[at(k)] = sequence_[at(k - 1)];
-      position_[at(sequence_[at(k)])] = k;
+      solution_.sequence[at(k)] = solution_.sequence[at(k - 1)];
+      solution_.position[at(solution_.sequence[at(k)])] = k;
     }
   }
-  sequence_[at(position)] = xnode;
-  position_[at(xnode)] = position;
+  solution_.sequence[at(position)] = xnode;
+  solution_.position[at(xnode)] = position;
 }
 
 void Evaluator::reposition(int xnode, int position) {
   const std::size_t i = at(xnode);
-  if (position_[i] == position) return;
-  edits_.push_back({xnode, xpu_[i], position_[i], waits_for_[i]});
-  dirty_from_ = std::min(dirty_from_, ready_at_[i]);
+  if (solution_.position[i] == position) return;
+  edits_.push_back({xnode, solution_.xpu[i], solution_.position[i], solution_.waits_for[i]});
+  dirty_from_ = std::min(dirty_from_, committed_.ready_at[i]);
   move_position(xnode, position);
 }
 
 void Evaluator::link(int xnode, int other) {
   const std::size_t i = at(xnode);
-  if (waits_for_[i] == other) return;
-  if (waits_for_[i] >= 0) {
-    --waiting_;
-    int* place = &first_waiting_[at(waits_for_[i])];
-    while (*place != xnode) place = &next_waiting_[at(*place)];
-    *place = next_waiting_[i];
+  if (solution_.waits_for[i] == other) return;
+  if (solution_.waits_for[i] >= 0) {
+    --solution_.waiting;
+    int* place = &solution_.first_waiting[at(solution_.waits_for[i])];
+    while (*place != xnode) place = &solution_.next_waiting[at(*place)];
+    *place = solution_.next_waiting[i];
   }
-  waits_for_[i] = other;
+  solution_.waits_for[i] = other;
   if (other < 0) return;
-  ++waiting_;
-  next_waiting_[i] = first_waiting_[at(other)];
-  first_waiting_[at(other)] = xnode;
+  ++solution_.waiting;
+  solution_.next_waiting[i] = solution_.first_waiting[at(other)];
+  solution_.first_waiting[at(other)] = xnode;
 }
 
 void Evaluator::wait_for(int xnode, int other) {
   const std::size_t i = at(xnode);
-  if (waits_for_[i] == other) return;
-  edits_.push_back({xnode, xpu_[i], position_[i], waits_for_[i]});
-  dirty_from_ = std::min(dirty_from_, released_at_[i]);
+  if (solution_.waits_for[i] == other) return;
+  edits_.push_back({xnode, solution_.xpu[i], solution_.position[i], solution_.waits_for[i]});
+  dirty_from_ = std::min(dirty_from_, committed_.released_at[i]);
   link(xnode, other);
 }
 
 bool Evaluator::hangs() const {
-  return waiting_ > 0 && std::any_of(status_.begin(), status_.end(),
-                                     [](std::uint8_t status) { return status != kDone; });
+  return solution_.waiting > 0 && std::any_of(state_.status.begin(), state_.status.end(),
+                                              [](std::uint8_t status) { return status != kDone; });
 }
 
 void Evaluator::rollback() {
@@ -185,80 +188,68 @@ void Evaluator::rollback() {
     const Edit edit = edits_.back();
     edits_.pop_back();
     const std::size_t i = at(edit.xnode);
-    if (xpu_[i] != edit.old_xpu) {
-      load_[at(xpu_[i])] -= work_[i];
-      const Time before = work_[i];
-      xpu_[i] = edit.old_xpu;
-      work_[i] = problem_.wcet_on(edit.xnode, edit.old_xpu);
-      load_[at(edit.old_xpu)] += work_[i];
-      if (work_[i] != before) update_tails(edit.xnode);
+    if (solution_.xpu[i] != edit.old_xpu) {
+      solution_.load[at(solution_.xpu[i])] -= solution_.work[i];
+      const Time before = solution_.work[i];
+      solution_.xpu[i] = edit.old_xpu;
+      solution_.work[i] = problem_.wcet_on(edit.xnode, edit.old_xpu);
+      solution_.load[at(edit.old_xpu)] += solution_.work[i];
+      if (solution_.work[i] != before) update_tails(edit.xnode);
     }
-    if (position_[i] != edit.old_position) move_position(edit.xnode, edit.old_position);
+    if (solution_.position[i] != edit.old_position) move_position(edit.xnode, edit.old_position);
     link(edit.xnode, edit.old_waits_for);
   }
   dirty_from_ = kNever;
 }
 
 void Evaluator::push_ready(int xnode) {
-  const std::size_t x = at(xpu_[at(xnode)]), place = at(position_[at(xnode)]);
+  const std::size_t x = at(solution_.xpu[at(xnode)]), place = at(solution_.position[at(xnode)]);
   ready_[x * words_ + place / 64] |= std::uint64_t{1} << (place % 64);
   ++ready_count_[x];
 }
 
 void Evaluator::start_from_scratch() {
-  std::fill(status_.begin(), status_.end(), static_cast<std::uint8_t>(kWaiting));
-  missing_ = in_degree_;
-  std::fill(end_.begin(), end_.end(), kNever);
-  std::fill(running_.begin(), running_.end(), -1);
+  std::fill(state_.status.begin(), state_.status.end(), static_cast<std::uint8_t>(kWaiting));
+  state_.missing = in_degree_;
+  std::fill(state_.end.begin(), state_.end.end(), kNever);
+  std::fill(state_.running.begin(), state_.running.end(), -1);
   std::fill(ready_count_.begin(), ready_count_.end(), 0);
   std::fill(ready_.begin(), ready_.end(), 0);
-  now_ = 0;
-  latest_ = charged_ = 0;
-  for (std::size_t i = 0; i < n_; ++i) remaining_[i] = -1;
-  for (int s : sources_) {
-    released_at_[at(s)] = ready_at_[at(s)] = 0;
+  state_.now = 0;
+  state_.latest = state_.charged = 0;
+  for (std::size_t i = 0; i < n_; ++i) state_.remaining[i] = -1;
+  for (int s : links_.sources) {
+    committed_.released_at[at(s)] = committed_.ready_at[at(s)] = 0;
     if (held(at(s))) continue;
-    status_[at(s)] = kReady;
+    state_.status[at(s)] = kReady;
     push_ready(s);
   }
   for (std::size_t x = 0; x < m_; ++x) decide<true>(static_cast<int>(x), 0);
 }
 
 Time Evaluator::cost() const {
-  return (problem_.goal.weighted ? 0 : latest_) + charged_;
+  return (problem_.goal.weighted ? 0 : state_.latest) + state_.charged;
 }
 
-void Evaluator::save(Snapshot& snapshot, Time now, Time latest) const {
+void Evaluator::save(State& snapshot, Time now, Time latest) const {
+  snapshot = state_;
   snapshot.now = now;
   snapshot.latest = latest;
-  snapshot.charged = charged_;
-  snapshot.status = status_;
-  snapshot.missing = missing_;
-  snapshot.remaining = remaining_;
-  snapshot.running = running_;
-  snapshot.end = end_;
 }
 
-void Evaluator::restore(const Snapshot& snapshot) {
-  now_ = snapshot.now;
-  latest_ = snapshot.latest;
-  charged_ = snapshot.charged;
-  status_ = snapshot.status;
-  missing_ = snapshot.missing;
-  remaining_ = snapshot.remaining;
-  running_ = snapshot.running;
-  end_ = snapshot.end;
+void Evaluator::restore(const State& snapshot) {
+  state_ = snapshot;
   std::fill(ready_count_.begin(), ready_count_.end(), 0);
   std::fill(ready_.begin(), ready_.end(), 0);
   for (std::size_t i = 0; i < n_; ++i)
-    if (status_[i] == kReady) push_ready(static_cast<int>(i));
+    if (state_.status[i] == kReady) push_ready(static_cast<int>(i));
 }
 
 int Evaluator::suspended(std::size_t xpu) const {
   int count = 0;
   for (std::size_t k = 0; k < words_; ++k)
     for (std::uint64_t bits = ready_[xpu * words_ + k]; bits != 0; bits &= bits - 1)
-      count += remaining_[at(sequence_[k * 64 + at(std::countr_zero(bits))])] >= 0;
+      count += state_.remaining[at(solution_.sequence[k * 64 + at(std::countr_zero(bits))])] >= 0;
   return count;
 }
 
@@ -266,7 +257,7 @@ template <bool kRecord>
 void Evaluator::decide(int xpu, Time now) {
   const std::size_t x = at(xpu);
   if (ready_count_[x] == 0) return;
-  const int running = running_[x];
+  const int running = state_.running[x];
   if (running >= 0 && !problem_.preemptive[x]) return;
   std::uint64_t* word = ready_.data() + x * words_;
   std::size_t k = 0;
@@ -274,26 +265,26 @@ void Evaluator::decide(int xpu, Time now) {
   const int best = static_cast<int>(k * 64) + std::countr_zero(word[k]);
   Time cost = 0;
   if (running >= 0) {
-    const int place = position_[at(running)];
+    const int place = solution_.position[at(running)];
     if (best > place) return;
     if (problem_.levels[x] > 0 && 1 + suspended(x) >= problem_.levels[x]) return;
-    remaining_[at(running)] = end_[x] - now;
-    status_[at(running)] = kReady;
+    state_.remaining[at(running)] = state_.end[x] - now;
+    state_.status[at(running)] = kReady;
     word[at(place) / 64] |= std::uint64_t{1} << (place % 64);
     cost = problem_.preempt[x];
   } else {
     --ready_count_[x];
   }
   word[k] &= word[k] - 1;
-  const std::size_t i = at(sequence_[at(best)]);
-  if (remaining_[i] < 0) {
+  const std::size_t i = at(solution_.sequence[at(best)]);
+  if (state_.remaining[i] < 0) {
     if (problem_.levels[x] > 0 && suspended(x) > 0) cost = problem_.preempt[x];
-    if constexpr (kRecord) started_at_[i] = now;
-    remaining_[i] = work_[i];
+    if constexpr (kRecord) committed_.started_at[i] = now;
+    state_.remaining[i] = solution_.work[i];
   }
-  status_[i] = kRunning;
-  running_[x] = static_cast<int>(i);
-  end_[x] = now + remaining_[i] + cost;
+  state_.status[i] = kRunning;
+  state_.running[x] = static_cast<int>(i);
+  state_.end[x] = now + state_.remaining[i] + cost;
 }
 
 template <bool kRecord>
@@ -303,25 +294,25 @@ Time Evaluator::run(Time limit) {
   while (true) {
     if constexpr (kRecord) {
       if (since_snapshot == 0) {
-        if (snapshots_used_ == snapshots_.size()) snapshots_.emplace_back();
-        save(snapshots_[snapshots_used_++], now_, latest_);
-        since_snapshot = stride_;
+        if (kept_.used == kept_.all.size()) kept_.all.emplace_back();
+        save(kept_.all[kept_.used++], state_.now, state_.latest);
+        since_snapshot = kept_.stride;
       }
       --since_snapshot;
     }
     Time now = kNever;
-    for (std::size_t x = 0; x < m_; ++x) now = std::min(now, end_[x]);
+    for (std::size_t x = 0; x < m_; ++x) now = std::min(now, state_.end[x]);
     if (now == kNever) return hangs() ? kNever : cost();
-    now_ = now;
-    latest_ = now;
+    state_.now = now;
+    state_.latest = now;
     for (std::size_t x = 0; x < m_; ++x) {
-      if (end_[x] != now) continue;
-      const std::size_t i = at(running_[x]);
-      running_[x] = -1;
-      end_[x] = kNever;
-      status_[i] = kDone;
-      if (!problem_.goal.plain()) charged_ += problem_.goal.charge(i, now);
-      if constexpr (kRecord) finished_at_[i] = now;
+      if (state_.end[x] != now) continue;
+      const std::size_t i = at(state_.running[x]);
+      state_.running[x] = -1;
+      state_.end[x] = kNever;
+      state_.status[i] = kDone;
+      if (!problem_.goal.plain()) state_.charged += problem_.goal.charge(i, now);
+      if constexpr (kRecord) committed_.finished_at[i] = now;
       if (!touched_[x]) {
         touched_[x] = 1;
         touched_list_.push_back(static_cast<int>(x));
@@ -329,13 +320,14 @@ Time Evaluator::run(Time limit) {
       // False: too late for the limit.
       const auto make_ready = [&](std::size_t s) {
         if constexpr (!kRecord) {
-          if (now + work_[s] + tail_[s] >= limit && !problem_.goal.weighted) return false;
+          if (now + solution_.work[s] + solution_.tail[s] >= limit && !problem_.goal.weighted)
+            return false;
         } else {
-          ready_at_[s] = now;
+          committed_.ready_at[s] = now;
         }
-        status_[s] = kReady;
+        state_.status[s] = kReady;
         push_ready(static_cast<int>(s));
-        const std::size_t sx = at(xpu_[s]);
+        const std::size_t sx = at(solution_.xpu[s]);
         if (!touched_[sx]) {
           touched_[sx] = 1;
           touched_list_.push_back(static_cast<int>(sx));
@@ -343,14 +335,15 @@ Time Evaluator::run(Time limit) {
         return true;
       };
       bool in_time = true;
-      for (int e = succ_begin_[i]; e < succ_begin_[i + 1] && in_time; ++e) {
-        const std::size_t s = at(succ_list_[at(e)]);
-        if (--missing_[s] != 0) continue;
-        if constexpr (kRecord) released_at_[s] = now;
+      for (int e = links_.succ_begin[i]; e < links_.succ_begin[i + 1] && in_time; ++e) {
+        const std::size_t s = at(links_.succ_list[at(e)]);
+        if (--state_.missing[s] != 0) continue;
+        if constexpr (kRecord) committed_.released_at[s] = now;
         if (!held(s)) in_time = make_ready(s);
       }
-      for (int w = first_waiting_[i]; w >= 0 && in_time; w = next_waiting_[at(w)])
-        if (status_[at(w)] == kWaiting && missing_[at(w)] == 0 && xpu_[at(w)] == xpu_[i])
+      for (int w = solution_.first_waiting[i]; w >= 0 && in_time; w = solution_.next_waiting[at(w)])
+        if (state_.status[at(w)] == kWaiting && state_.missing[at(w)] == 0 &&
+            solution_.xpu[at(w)] == solution_.xpu[i])
           in_time = make_ready(at(w));
       if (!in_time) {
         for (int t : touched_list_) touched_[at(t)] = 0;
@@ -370,30 +363,30 @@ Time Evaluator::evaluate(Time limit) {
   if (dirty_from_ == kNever) return makespan_ < limit ? makespan_ : kNever;
   if (!problem_.goal.weighted) {
     for (std::size_t x = 0; x < m_; ++x)
-      if (load_[x] >= limit) return kNever;
-    for (int s : sources_)
-      if (work_[at(s)] + tail_[at(s)] >= limit) return kNever;
+      if (solution_.load[x] >= limit) return kNever;
+    for (int s : links_.sources)
+      if (solution_.work[at(s)] + solution_.tail[at(s)] >= limit) return kNever;
   }
   // The last snapshot strictly before the first difference; its own decisions are then still valid.
-  std::size_t k = snapshots_used_;
-  while (k > 0 && snapshots_[k - 1].now >= dirty_from_) --k;
+  std::size_t k = kept_.used;
+  while (k > 0 && kept_.all[k - 1].now >= dirty_from_) --k;
   if (k == 0) {
-    std::fill(status_.begin(), status_.end(), static_cast<std::uint8_t>(kWaiting));
-    missing_ = in_degree_;
-    std::fill(end_.begin(), end_.end(), kNever);
-    std::fill(running_.begin(), running_.end(), -1);
+    std::fill(state_.status.begin(), state_.status.end(), static_cast<std::uint8_t>(kWaiting));
+    state_.missing = in_degree_;
+    std::fill(state_.end.begin(), state_.end.end(), kNever);
+    std::fill(state_.running.begin(), state_.running.end(), -1);
     std::fill(ready_count_.begin(), ready_count_.end(), 0);
     std::fill(ready_.begin(), ready_.end(), 0);
-    std::fill(remaining_.begin(), remaining_.end(), -1);
-    now_ = latest_ = charged_ = 0;
-    for (int s : sources_) {
+    std::fill(state_.remaining.begin(), state_.remaining.end(), -1);
+    state_.now = state_.latest = state_.charged = 0;
+    for (int s : links_.sources) {
       if (held(at(s))) continue;
-      status_[at(s)] = kReady;
+      state_.status[at(s)] = kReady;
       push_ready(s);
     }
     for (std::size_t x = 0; x < m_; ++x) decide<false>(static_cast<int>(x), 0);
   } else {
-    restore(snapshots_[k - 1]);
+    restore(kept_.all[k - 1]);
   }
   const Time makespan = run<false>(limit);
   return makespan < limit ? makespan : kNever;
@@ -402,15 +395,15 @@ Time Evaluator::evaluate(Time limit) {
 void Evaluator::commit() {
   edits_.clear();
   if (dirty_from_ == kNever) return;
-  std::size_t k = snapshots_used_;
-  while (k > 0 && snapshots_[k - 1].now >= dirty_from_) --k;
+  std::size_t k = kept_.used;
+  while (k > 0 && kept_.all[k - 1].now >= dirty_from_) --k;
   dirty_from_ = kNever;
   if (k == 0) {
-    snapshots_used_ = 0;
+    kept_.used = 0;
     start_from_scratch();
   } else {
-    snapshots_used_ = k - 1;  // run() saves it again, with the same content
-    restore(snapshots_[k - 1]);
+    kept_.used = k - 1;  // run() saves it again, with the same content
+    restore(kept_.all[k - 1]);
   }
   makespan_ = run<true>(kNever);
 }
@@ -421,42 +414,48 @@ void Evaluator::critical_chain(std::vector<int>& chain) const {
   // The XNodes of each XPU, one XPU after the other.
   xpu_begin_.assign(m_ + 1, 0);
   on_xpu_.resize(n_);
-  for (std::size_t i = 0; i < n_; ++i) ++xpu_begin_[at(xpu_[i]) + 1];
+  for (std::size_t i = 0; i < n_; ++i) ++xpu_begin_[at(solution_.xpu[i]) + 1];
   for (std::size_t x = 0; x < m_; ++x) xpu_begin_[x + 1] += xpu_begin_[x];
   for (std::size_t i = n_; i-- > 0;) {
-    std::size_t& filled = xpu_begin_[at(xpu_[i]) + 1];
+    std::size_t& filled = xpu_begin_[at(solution_.xpu[i]) + 1];
     on_xpu_[--filled] = static_cast<int>(i);
   }
   // Filling from behind has moved each end to its beginning.
   xpu_begin_.erase(xpu_begin_.begin());
   xpu_begin_.push_back(n_);
   // By finish: two XNodes of one XPU never end at the same time.
-  const auto ends_first = [&](int a, int b) { return finished_at_[at(a)] < finished_at_[at(b)]; };
+  const auto ends_first = [&](int a, int b) {
+    return committed_.finished_at[at(a)] < committed_.finished_at[at(b)];
+  };
   for (std::size_t x = 0; x < m_; ++x)
     std::sort(on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[x]),
               on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[x + 1]), ends_first);
   for (std::size_t i = 0; i < n_; ++i)
-    if (current < 0 || finished_at_[i] > finished_at_[at(current)]) current = static_cast<int>(i);
+    if (current < 0 || committed_.finished_at[i] > committed_.finished_at[at(current)])
+      current = static_cast<int>(i);
   while (current >= 0 && chain.size() <= n_) {
     chain.push_back(current);
     const std::size_t i = at(current);
-    const Time begin = started_at_[i];
+    const Time begin = committed_.started_at[i];
     int next = -1;
     // Delayed on its XPU: whoever finished there at its start, or ran while it was suspended;
     // otherwise the predecessor that released it.
-    if (finished_at_[i] - begin > work_[i] || begin > ready_at_[i]) {
-      const auto first = on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[at(xpu_[i])]);
-      const auto last = on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[at(xpu_[i]) + 1]);
+    if (committed_.finished_at[i] - begin > solution_.work[i] || begin > committed_.ready_at[i]) {
+      const auto first =
+          on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[at(solution_.xpu[i])]);
+      const auto last =
+          on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[at(solution_.xpu[i]) + 1]);
       const auto own = std::lower_bound(first, last, current, ends_first);
-      if (own != first && finished_at_[at(*(own - 1))] > ready_at_[i]) next = *(own - 1);
+      if (own != first && committed_.finished_at[at(*(own - 1))] > committed_.ready_at[i])
+        next = *(own - 1);
     }
     if (next < 0) {
-      for (int e = pred_begin_[i]; e < pred_begin_[i + 1]; ++e) {
-        const int p = pred_list_[at(e)];
-        if (finished_at_[at(p)] == ready_at_[i]) next = p;
+      for (int e = links_.pred_begin[i]; e < links_.pred_begin[i + 1]; ++e) {
+        const int p = links_.pred_list[at(e)];
+        if (committed_.finished_at[at(p)] == committed_.ready_at[i]) next = p;
       }
-      const int other = waits_for_[i];
-      if (next < 0 && other >= 0 && xpu_[at(other)] == xpu_[i]) next = other;
+      const int other = solution_.waits_for[i];
+      if (next < 0 && other >= 0 && solution_.xpu[at(other)] == solution_.xpu[i]) next = other;
     }
     current = next;
   }

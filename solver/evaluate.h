@@ -47,19 +47,27 @@ class Evaluator {
 
   /// Of the committed solution; the cost where Problem::goal asks for something else.
   [[nodiscard]] Time makespan() const { return makespan_; }
-  [[nodiscard]] const std::vector<int>& xpu() const { return xpu_; }
-  [[nodiscard]] const std::vector<int>& sequence() const { return sequence_; }
-  [[nodiscard]] int position(int xnode) const { return position_[static_cast<std::size_t>(xnode)]; }
-  /// As given, dormant ones too.
-  [[nodiscard]] const std::vector<int>& waits_for() const { return waits_for_; }
-  // Of the committed schedule.
-  [[nodiscard]] Time ready(int xnode) const { return ready_at_[static_cast<std::size_t>(xnode)]; }
-  [[nodiscard]] Time start(int xnode) const { return started_at_[static_cast<std::size_t>(xnode)]; }
-  [[nodiscard]] Time finish(int xnode) const {
-    return finished_at_[static_cast<std::size_t>(xnode)];
+  [[nodiscard]] const std::vector<int>& xpu() const { return solution_.xpu; }
+  [[nodiscard]] const std::vector<int>& sequence() const { return solution_.sequence; }
+  [[nodiscard]] int position(int xnode) const {
+    return solution_.position[static_cast<std::size_t>(xnode)];
   }
-  [[nodiscard]] Time load(int xpu) const { return load_[static_cast<std::size_t>(xpu)]; }
-  [[nodiscard]] Time tail(int xnode) const { return tail_[static_cast<std::size_t>(xnode)]; }
+  /// As given, dormant ones too.
+  [[nodiscard]] const std::vector<int>& waits_for() const { return solution_.waits_for; }
+  // Of the committed schedule.
+  [[nodiscard]] Time ready(int xnode) const {
+    return committed_.ready_at[static_cast<std::size_t>(xnode)];
+  }
+  [[nodiscard]] Time start(int xnode) const {
+    return committed_.started_at[static_cast<std::size_t>(xnode)];
+  }
+  [[nodiscard]] Time finish(int xnode) const {
+    return committed_.finished_at[static_cast<std::size_t>(xnode)];
+  }
+  [[nodiscard]] Time load(int xpu) const { return solution_.load[static_cast<std::size_t>(xpu)]; }
+  [[nodiscard]] Time tail(int xnode) const {
+    return solution_.tail[static_cast<std::size_t>(xnode)];
+  }
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// The XNodes that set the makespan, last first: each was delayed by the next one, as its
   /// predecessor or as the one that held its XPU.
@@ -67,7 +75,23 @@ class Evaluator {
 
  private:
   enum Status : std::uint8_t { kWaiting, kReady, kRunning, kDone };
-  struct Snapshot {
+  /// Who follows whom, flat.
+  struct Links {
+    std::vector<int> succ_begin, succ_list, pred_begin, pred_list;
+    std::vector<int> topo_rank, sources;
+  };
+  /// What is decided, and what follows from that alone.
+  struct Solution {
+    std::vector<int> xpu, sequence, position;
+    std::vector<int> waits_for;
+    std::vector<int> first_waiting, next_waiting;  ///< lists of those that wait for the same one
+    int waiting = 0;
+    std::vector<Time> work;  ///< wcet on the assigned XPU
+    std::vector<Time> tail;  ///< longest chain behind, under the assignment
+    std::vector<Time> load;  ///< per XPU
+  };
+  /// Of a simulation, at an instant.
+  struct State {
     Time now = 0;
     Time latest = 0, charged = 0;
     std::vector<std::uint8_t> status;
@@ -76,12 +100,22 @@ class Evaluator {
     std::vector<int> running;
     std::vector<Time> end;
   };
+  struct Schedule {
+    std::vector<Time> released_at;  ///< the last predecessor has finished
+    std::vector<Time> ready_at;     ///< and so has whom it waits for
+    std::vector<Time> started_at, finished_at;
+  };
+  /// States of the committed schedule's simulation, to begin again from.
+  struct Snapshots {
+    std::vector<State> all;
+    std::size_t used = 0, stride = 1;
+  };
 
   template <bool kRecord>
   Time run(Time limit);
   void start_from_scratch();
-  void restore(const Snapshot& snapshot);
-  void save(Snapshot& snapshot, Time now, Time latest) const;
+  void restore(const State& snapshot);
+  void save(State& snapshot, Time now, Time latest) const;
   [[nodiscard]] Time cost() const;
   template <bool kRecord>
   void decide(int xpu, Time now);
@@ -92,44 +126,29 @@ class Evaluator {
   void push_ready(int xnode);
   void link(int xnode, int other);
   [[nodiscard]] bool held(std::size_t i) const {
-    const int other = waits_for_[i];
-    return other >= 0 && status_[static_cast<std::size_t>(other)] != kDone &&
-           xpu_[static_cast<std::size_t>(other)] == xpu_[i];
+    const int other = solution_.waits_for[i];
+    return other >= 0 && state_.status[static_cast<std::size_t>(other)] != kDone &&
+           solution_.xpu[static_cast<std::size_t>(other)] == solution_.xpu[i];
   }
   [[nodiscard]] bool hangs() const;
 
   const Problem& problem_;
   std::size_t n_, m_;
-  std::vector<int> succ_begin_, succ_list_, pred_begin_, pred_list_;  // adjacency, flat
-  std::vector<int> topo_rank_, sources_;
-
-  std::vector<int> xpu_, sequence_, position_;
-  std::vector<int> waits_for_;
-  std::vector<int> first_waiting_, next_waiting_;  // lists of those that wait for the same one
-  int waiting_ = 0;
-  std::vector<Time> work_;  // wcet on the assigned XPU
-  std::vector<Time> tail_;  // longest chain behind, under the assignment
-  std::vector<Time> load_;  // per XPU
+  Links links_;
+  Solution solution_;
   Time makespan_ = 0;
 
-  // Simulation state.
-  std::vector<std::uint8_t> status_;
-  std::vector<std::uint16_t> missing_, in_degree_;
-  std::vector<Time> remaining_, end_;
-  std::vector<int> running_;
+  // Of the simulation; what stays from one to the next is in its state.
+  State state_;
+  std::vector<std::uint16_t> in_degree_;
   std::vector<std::uint64_t> ready_;  // [xpu * words_ + k]: bit per place in the sequence
   std::vector<int> ready_count_;
   std::size_t words_;
   std::vector<char> touched_;
   std::vector<int> touched_list_;
-  Time now_ = 0, latest_ = 0, charged_ = 0;
 
-  // The committed schedule.
-  std::vector<Time> released_at_;  // the last predecessor has finished
-  std::vector<Time> ready_at_;     // and so has whom it waits for
-  std::vector<Time> started_at_, finished_at_;
-  std::vector<Snapshot> snapshots_;
-  std::size_t snapshots_used_ = 0, stride_ = 1;
+  Schedule committed_;
+  Snapshots kept_;
 
   struct Edit {
     int xnode, old_xpu, old_position, old_waits_for;

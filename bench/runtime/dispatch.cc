@@ -190,9 +190,9 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
         session.app.edges.emplace_back(u, v);
       }
   }
-  session.cpu_sched = runtime::CpuSched::kOther;
-  session.activations = rounds + rounds / 10;
-  session.lockstep = true;
+  session.cpu.sched = runtime::CpuSched::kOther;
+  session.releases.activations = rounds + rounds / 10;
+  session.releases.lockstep = true;
 
   const UniqueFd stop(eventfd(0, EFD_CLOEXEC));
   std::vector<std::unique_ptr<coord::Server>> servers;

@@ -40,9 +40,9 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   released_for_.assign(context.graph.modules.size(), 0);
   if (!role.leads()) return;
   const Session& session = context.session;
-  const bool paced = session.input.empty() && !session.lockstep;
+  const bool paced = session.releases.input.empty() && !session.releases.lockstep;
   routes_.show_on(context.board, paced ? &context.grid : nullptr);
-  if (session.lockstep && !context.grid.one_at_a_time) routes_.in_lockstep();
+  if (session.releases.lockstep && !context.grid.one_at_a_time) routes_.in_lockstep();
   if (context.graph.single_rate) {
     FlowLine& whole = context.board.flow(0);
     if (paced && !context.grid.sources.empty())

@@ -137,12 +137,12 @@ int program(const detail::AppSpecErased& app, char** argv) {
     }
     return hand_over(argv);
   }
-  if (const int process = (*session)->process; process != 0)
+  if (const int process = (*session)->parts.process; process != 0)
     rt::set_thread_name("m:" +
-                        (*session)->processes[static_cast<std::size_t>(process - 1)].front());
+                        (*session)->parts.modules[static_cast<std::size_t>(process - 1)].front());
   const auto text = answer(app, **session);
   int status = text ? 0 : 1;
-  if ((*session)->process != 0 || (*session)->mode == runtime::Mode::kLoad) {
+  if ((*session)->parts.process != 0 || (*session)->mode == runtime::Mode::kLoad) {
     if (!text) log::error("{}", text.error().to_string());
   } else {
     const std::string written = text ? *text : runtime::error_to_json(text.error());

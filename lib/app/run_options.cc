@@ -96,7 +96,7 @@ Result<runtime::Session> RunOptions::Data::session() const {
     return tl::unexpected<Error>(
         at("cpu_sched", "'" + cpu_sched + "' is not fifo or other",
            cpu_sched == "ext" ? "sched_ext is for apps that `xauto run` starts" : ""));
-  session.cpu_sched = cpu_sched == "fifo" ? runtime::CpuSched::kFifo : runtime::CpuSched::kOther;
+  session.cpu.sched = cpu_sched == "fifo" ? runtime::CpuSched::kFifo : runtime::CpuSched::kOther;
   session.deployment.app = session.app.name;
   if (!deployment.empty()) {
     XAUTO_ASSIGN(session.deployment,
@@ -117,12 +117,12 @@ Result<runtime::Session> RunOptions::Data::session() const {
     return tl::unexpected<Error>(at("duration", "possible are 0 to a year"));
   if (period.count() < 0 || period.count() > kMaxPeriodUs)
     return tl::unexpected<Error>(at("period", "possible are 0 to an hour"));
-  session.activations = activations;
-  session.duration_us = duration.count();
-  session.period_us = period.count();
-  session.lockstep = lockstep;
-  session.input = input;
-  session.record = record;
+  session.releases.activations = activations;
+  session.releases.duration_us = duration.count();
+  session.releases.period_us = period.count();
+  session.releases.lockstep = lockstep;
+  session.releases.input = input;
+  session.releases.record = record;
   return session;
 }
 

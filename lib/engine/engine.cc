@@ -24,7 +24,7 @@ constexpr std::uint64_t kMinTraceEvents = 1u << 12, kMaxTraceEvents = 1u << 22; 
 /// faster, the trace goes back less far than was asked for; reports say how far.
 std::uint64_t trace_capacity(const detail::AppSpecErased& app, const Session& session,
                              const Graph& graph) {
-  std::int64_t fastest_us = session.period_us;
+  std::int64_t fastest_us = session.releases.period_us;
   if (fastest_us == 0)
     for (const auto& source : app.sources)
       if (fastest_us == 0 || source.period.floor_us() < fastest_us)
@@ -47,7 +47,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_TRY(graph.matches(session.app));
   if (session.app.one_at_a_time) graph.single_rate = true;  // whatever the program's rates are
   // Releases have the numbers of app.json's grid, also those that are pushed.
-  if (!session.app.sources.empty() && !session.lockstep && session.input.empty())
+  if (!session.app.sources.empty() && !session.releases.lockstep && session.releases.input.empty())
     for (Graph::Module& module : graph.modules) module.numbered = true;
   for (std::size_t m = 0; m < graph.modules.size(); ++m)
     if (!graph.single_rate && session.deployment.of(graph.modules[m].name).match_us)
@@ -59,9 +59,10 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
   XAUTO_ASSIGN(e.grid_, Grid::make(e.graph_, session));
   XAUTO_ASSIGN(Routes routes, Routes::make(e.graph_, e.grid_, session.deployment, session.app));
-  if (session.process == 0) XAUTO_TRY(e.open_trace(true));  // before any member may attach to it
+  if (session.parts.process == 0)
+    XAUTO_TRY(e.open_trace(true));  // before any member may attach to it
   XAUTO_ASSIGN(e.role_, RunRole::of(e.graph_, e.plan_, session, 1 + routes.size(), e.stop_));
-  if (session.process != 0) XAUTO_TRY(e.open_trace(false));
+  if (session.parts.process != 0) XAUTO_TRY(e.open_trace(false));
   Board& board = *e.role_->board();
   if (e.role_->leads())
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
@@ -167,7 +168,7 @@ Result<RunReport> Engine::run_all() {
   result.account.add("coordinator_lost", unscheduled.size(), unscheduled);
   result.recording_error = releaser_->close(result.releases);
   // A run without an end of its own is complete when it has been told to stop.
-  const bool endless = session_.activations == 0 && session_.duration_us == 0;
+  const bool endless = session_.releases.activations == 0 && session_.releases.duration_us == 0;
   result.complete = drained && (!stop_.load() || endless);
   // Its job may have ended without having been suspended; whoever made the call waits for ever.
   for (const auto& worker : wiring_->workers())
@@ -200,8 +201,8 @@ std::vector<std::size_t> Engine::waiting() const {
 
 /// What has no time in a report, and why.
 void Engine::note_lockstep(RunReport& into) const {
-  if (!session_.lockstep || grid_.one_at_a_time || (graph_.single_rate && !grid_.periodic) ||
-      into.account.chains.empty())
+  if (!session_.releases.lockstep || grid_.one_at_a_time ||
+      (graph_.single_rate && !grid_.periodic) || into.account.chains.empty())
     return;
   std::uint64_t untimed = 0;
   for (const ChainAccount& chain : into.account.chains) untimed += chain.not_measured;

@@ -88,7 +88,7 @@ class Leader final : public RunRole, private HubHost {
     report.lost_coordinators.assign(lost.begin(), lost.end());
     for (const int process : hub_->deaths())
       for (const std::string& module :
-           context_->session.processes[static_cast<std::size_t>(process - 1)])
+           context_->session.parts.modules[static_cast<std::size_t>(process - 1)])
         report.died.push_back(module);
     if (const std::uint64_t missed = wiring_->receiver()->lost(); missed > 0)
       add_note(report.note,
@@ -210,7 +210,7 @@ class Follower final : public RunRole {
     return true;
   }
   void looked(std::int64_t now) override {
-    board()->process(context_->session.process).watched_ns.store(now);
+    board()->process(context_->session.parts.process).watched_ns.store(now);
   }
 
  private:
@@ -234,8 +234,8 @@ Result<std::unique_ptr<RunRole>> RunRole::of(const Graph& graph, const Plan& pla
     XAUTO_ASSIGN(std::shared_ptr<Board> board, Board::create(shape, fd));
     return std::unique_ptr<RunRole>(std::make_unique<Alone>(std::move(board)));
   }
-  return session.process == 0 ? Leader::make(graph, plan, session, flows, stop)
-                              : Follower::make(graph, plan, session, flows, stop);
+  return session.parts.process == 0 ? Leader::make(graph, plan, session, flows, stop)
+                                    : Follower::make(graph, plan, session, flows, stop);
 }
 
 }  // namespace xauto::runtime

@@ -25,7 +25,7 @@ struct Context {
 
   /// This process has the module.
   [[nodiscard]] bool hosts(std::size_t module) const {
-    return plan.process_of[module] == session.process;
+    return plan.process_of[module] == session.parts.process;
   }
   [[nodiscard]] bool scheduled() const { return session.scheduling == Scheduling::kXAuto; }
 };

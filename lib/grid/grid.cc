@@ -125,8 +125,9 @@ Grid Grid::of_program(const Graph& graph, const Session& session) {
   grid.urgent_by_us.assign(graph.modules.size(), 0);
   grid.urgent_source.assign(graph.modules.size(), -1);
   for (const SourceSpec& source : graph.sources)
-    grid.sources.push_back({session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0,
-                            0, static_cast<std::uint32_t>(grid.sources.size())});
+    grid.sources.push_back(
+        {session.releases.period_us > 0 ? Period{session.releases.period_us} : source.period, 0, 0,
+         0, static_cast<std::uint32_t>(grid.sources.size())});
   return grid;
 }
 
@@ -186,7 +187,7 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   if (!grid.periodic) return grid;
   const AppSpec& app = session.app;
   grid.one_at_a_time = app.one_at_a_time;
-  if (session.period_us > 0 && !app.one_at_a_time)
+  if (session.releases.period_us > 0 && !app.one_at_a_time)
     return tl::unexpected<Error>(
         refused("would change what the policy was made for", "--period-us",
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));

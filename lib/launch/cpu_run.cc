@@ -130,8 +130,8 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
 
 void decide_cpu_by_keys(runtime::Session& session) {
   constexpr int kLevels = 6;  // lowered, admitted, asking, and those above: model/fifo_range.h
-  session.cpu_by_keys = session.keys && session.scheduling == runtime::Scheduling::kXAuto &&
-                        session.cpu_sched == runtime::CpuSched::kFifo &&
+  session.cpu.by_keys = session.keys && session.scheduling == runtime::Scheduling::kXAuto &&
+                        session.cpu.sched == runtime::CpuSched::kFifo &&
                         rt::highest_fifo() >= kLevels;
 }
 
@@ -140,9 +140,9 @@ std::string cpu_keeper(const runtime::Session& session) {
   const bool real = std::any_of(cpus.begin(), cpus.end(),
                                 [&](int x) { return session.presence_of(x) == Presence::kReal; });
   if (!real || session.scheduling != runtime::Scheduling::kXAuto) return {};
-  if (session.cpu_sched == runtime::CpuSched::kExt) return "sched_ext";
-  if (session.cpu_by_keys) return "SCHED_FIFO, told by coordinators";
-  const bool fifo = session.cpu_sched == runtime::CpuSched::kFifo && rt::highest_fifo() > 0;
+  if (session.cpu.sched == runtime::CpuSched::kExt) return "sched_ext";
+  if (session.cpu.by_keys) return "SCHED_FIFO, told by coordinators";
+  const bool fifo = session.cpu.sched == runtime::CpuSched::kFifo && rt::highest_fifo() > 0;
   return fifo && !session.keys ? "SCHED_FIFO" : "nobody";
 }
 

@@ -102,7 +102,7 @@ class Supervisor {
     }
     const bool runs = session.mode == Mode::kRun;
     const bool scheduled = runs && session.scheduling == Scheduling::kXAuto;
-    const bool has_hub = runs && !session.processes.empty();
+    const bool has_hub = runs && !session.parts.modules.empty();
     std::vector<std::string> names = socket_names(session);
     if (runs) names.insert(names.end(), {kLiveName, kDeskName});
     if (has_hub) names.emplace_back(kHubName);
@@ -125,9 +125,9 @@ class Supervisor {
         session.coordinators[xpu.id] = sockets.address(xpu.id);
     UniqueFd hub;  // closed here once the app has it: its end must show
     if (has_hub) {
-      session.hub = sockets.address(kHubName);
+      session.parts.hub = sockets.address(kHubName);
       hub = sockets.take(kHubName);
-      session.hub_fd = hub.get();
+      session.parts.hub_fd = hub.get();
     }
     XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
     XAUTO_ASSIGN(const std::string text, to_json(session));
@@ -173,10 +173,10 @@ class Supervisor {
 
   /// One process for each group of modules that has its own.
   Status start_modules(const Session& session, const SpawnOptions& options) {
-    for (std::size_t p = 0; p < session.processes.size(); ++p) {
+    for (std::size_t p = 0; p < session.parts.modules.size(); ++p) {
       ModuleProcess process;
       process.index = static_cast<int>(p) + 1;
-      for (const std::string& module : session.processes[p]) {
+      for (const std::string& module : session.parts.modules[p]) {
         process.name += (process.name.empty() ? "" : "+") + module;
         process.restarts =
             std::max(process.restarts, session.deployment.of(module).restarts.value_or(0));
@@ -213,7 +213,7 @@ class Supervisor {
                                   .tables = std::move(tables),
                                   .keys = session.keys.has_value(),
                                   .real = real_xpus(session),
-                                  .want_ext = session.cpu_sched == CpuSched::kExt,
+                                  .want_ext = session.cpu.sched == CpuSched::kExt,
                                   .budget_pct = request_.cpu_budget_pct});
     if (!cpus_.note.empty()) {
       log::warn("{}", cpus_.note);
@@ -221,14 +221,14 @@ class Supervisor {
     }
     if (!cpus_.info.empty()) log::info("{}", cpus_.info);
     if (cpus_.maps) {
-      session.cpu_run = cpus_.maps->run();
-      session.cpu_first_xnode = cpus_.maps->first();
+      session.cpu.run = cpus_.maps->run();
+      session.cpu.first_xnode = cpus_.maps->first();
     }
     if (cpus_.scheduler) {
-      session.cpu_scheduler_pid = cpus_.scheduler->child.pid();
-      session.cpu_partial = cpus_.partial;
-    } else if (session.cpu_sched == CpuSched::kExt) {
-      session.cpu_sched = CpuSched::kFifo;
+      session.cpu.scheduler_pid = cpus_.scheduler->child.pid();
+      session.cpu.partial = cpus_.partial;
+    } else if (session.cpu.sched == CpuSched::kExt) {
+      session.cpu.sched = CpuSched::kFifo;
     }
     decide_cpu_by_keys(session);
     outcome_.real_cpus = cpu_keeper(session);
@@ -254,7 +254,7 @@ class Supervisor {
     outcome_.gone.push_back(note);
     outcome_.notes.push_back(note);
     // Not connected yet: nobody else would tell the hub.
-    if (const auto socket = connect_abstract(request_.session.hub)) {
+    if (const auto socket = connect_abstract(request_.session.parts.hub)) {
       const Packet gone{.word = static_cast<std::uint32_t>(Word::kGone),
                         .index = static_cast<std::uint32_t>(process.index)};
       (void)send_packet(socket->get(), &gone, sizeof gone);
@@ -293,7 +293,7 @@ class Supervisor {
         {"app", session.app.name},
         {"platform", session.platform.name},
         {"scheduling", to_string(session.scheduling)},
-        {"activations", session.activations},
+        {"activations", session.releases.activations},
         {"pid", getpid()}}.dump();
     if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board->get()});
   }

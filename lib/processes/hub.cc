@@ -52,9 +52,9 @@ Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
       XAUTO_ASSIGN(hub->topics_[t],
                    transport::make_link(shape_of(graph.topics[t], readers, session)));
     }
-  hub->listener_ = UniqueFd(session.hub_fd);
+  hub->listener_ = UniqueFd(session.parts.hub_fd);
   if (!hub->listener_) {
-    XAUTO_ASSIGN(hub->listener_, listen_abstract(session.hub));
+    XAUTO_ASSIGN(hub->listener_, listen_abstract(session.parts.hub));
   }
   hub->wake_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!hub->wake_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));

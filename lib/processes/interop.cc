@@ -32,11 +32,11 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     if (feed && graph.sources[static_cast<std::size_t>(topic->source)].pushed)
       return fail(ErrorCode::kInvalid, "is pushed by the program, so it cannot be fed, too", place,
                   "add the source with a period and a function, or drop it here");
-    if (feed && session.lockstep)
+    if (feed && session.releases.lockstep)
       return fail(ErrorCode::kInvalid, "what comes from outside comes when it comes", place,
                   "run without --lockstep");
-    if (feed && !session.input.empty()) continue;  // the recording is the input
-    if (plan.topics[t].publisher != session.process) continue;
+    if (feed && !session.releases.input.empty()) continue;  // the recording is the input
+    if (plan.topics[t].publisher != session.parts.process) continue;
     (feed ? in : out).push_back(t);
     options.largest_bytes = std::max(options.largest_bytes, largest(topic->spec));
   }

@@ -13,9 +13,9 @@ namespace xauto::runtime {
 Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& graph,
                                              const Session& session, std::size_t flows) {
   auto member = std::unique_ptr<Member>(new Member);
-  XAUTO_ASSIGN(member->socket_, connect_abstract(session.hub));
+  XAUTO_ASSIGN(member->socket_, connect_abstract(session.parts.hub));
   const int socket = member->socket_.get();
-  XAUTO_TRY(say(socket, Word::kHello, session.process));
+  XAUTO_TRY(say(socket, Word::kHello, session.parts.process));
   member->topics_.resize(graph.topics.size());
   for (;;) {
     Packet packet;
@@ -29,8 +29,9 @@ Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& grap
     } else if (size == sizeof packet && word == Word::kBegin && member->board_ != nullptr) {
       for (std::size_t t = 0; t < graph.topics.size(); ++t) {
         const Plan::Remote& remote = plan.topics[t];
-        const bool ours = remote.publisher == session.process ? !remote.readers.empty()
-                                                              : remote.reader(session.process) >= 0;
+        const bool ours = remote.publisher == session.parts.process
+                              ? !remote.readers.empty()
+                              : remote.reader(session.parts.process) >= 0;
         if (ours && member->topics_[t] == nullptr)
           return fail(ErrorCode::kUnavailable, "the app's hub did not share it",
                       "topic '" + graph.topics[t].spec.name + "'");

@@ -19,14 +19,14 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
   Plan plan;
   plan.process_of.assign(graph.modules.size(), 0);
   plan.topics.resize(graph.topics.size());
-  plan.processes = static_cast<int>(session.processes.size()) + 1;
-  if (session.processes.size() >= kMaxProcesses)
+  plan.processes = static_cast<int>(session.parts.modules.size()) + 1;
+  if (session.parts.modules.size() >= kMaxProcesses)
     return fail(ErrorCode::kInvalid,
-                "has " + std::to_string(session.processes.size()) + " processes, at most " +
+                "has " + std::to_string(session.parts.modules.size()) + " processes, at most " +
                     std::to_string(kMaxProcesses - 1) + " are possible",
                 "app '" + graph.name + "'");
-  for (std::size_t p = 0; p < session.processes.size(); ++p)
-    for (const std::string& name : session.processes[p]) {
+  for (std::size_t p = 0; p < session.parts.modules.size(); ++p)
+    for (const std::string& name : session.parts.modules[p]) {
       const auto module = std::find_if(graph.modules.begin(), graph.modules.end(),
                                        [&](const Graph::Module& m) { return m.name == name; });
       if (module == graph.modules.end())
@@ -47,7 +47,7 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
       readers.insert(plan.process_of[static_cast<std::size_t>(s.module)]);
     for (const detail::ObserverSpec& observer : app.observers)
       if (observer.topic.name == topic.spec.name) readers.insert(0);
-    if (session.record_outputs && topic.spec.encode != nullptr) readers.insert(0);
+    if (session.releases.record_outputs && topic.spec.encode != nullptr) readers.insert(0);
     readers.erase(remote.publisher);
     remote.readers.assign(readers.begin(), readers.end());
     if (remote.readers.empty()) continue;

@@ -243,9 +243,9 @@ Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
   XAUTO_ASSIGN(LoadWords * words, map_load_words(memory.get()));
   Session of_load = session;
   of_load.mode = Mode::kLoad;
-  of_load.load_xpu = xpu;
-  of_load.load_fd = memory.get();
-  of_load.load_cores = cores;
+  of_load.load.xpu = xpu;
+  of_load.load.fd = memory.get();
+  of_load.load.cores = cores;
   XAUTO_ASSIGN(UniqueFd file, make_memory_file("xauto-session"));
   XAUTO_ASSIGN(const std::string text, to_json(of_load));
   XAUTO_TRY(write_memory_file(file.get(), text));
@@ -254,9 +254,9 @@ Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
   options.inherit = {file.get(), memory.get()};
   options.environment = {{kSessionVariable, std::to_string(file.get())}};
   XAUTO_ASSIGN(Child child, Child::spawn(options));
-  return std::unique_ptr<Load>(std::make_unique<ProcessLoad>(std::move(child), std::move(file),
-                                                             std::move(memory), words, cores,
-                                                             session.exec_limit_s * 1'000'000'000));
+  return std::unique_ptr<Load>(
+      std::make_unique<ProcessLoad>(std::move(child), std::move(file), std::move(memory), words,
+                                    cores, session.profile.exec_limit_s * 1'000'000'000));
 }
 
 std::set<Corun::Loaded> Corun::loaded_by(const std::string& type, const Stage& stage) {

@@ -19,8 +19,8 @@ constexpr std::int64_t kPushNs = 10'000'000'000;  ///< patience with a driver
 Result<ProfileInput> ProfileInput::open(const detail::AppSpecErased& app, const Graph& graph,
                                         const Session& session, detail::Inlets& inlets) {
   ProfileInput input(app, graph, inlets);
-  if (!session.input.empty()) {
-    XAUTO_ASSIGN(auto recording, record::Recording::open(session.input));
+  if (!session.releases.input.empty()) {
+    XAUTO_ASSIGN(auto recording, record::Recording::open(session.releases.input));
     if (!recording.note().empty()) log::warn("{}", recording.note());
     input.recording_.emplace(std::move(recording));
     for (std::size_t t = 0; t < graph.topics.size(); ++t) {
@@ -31,7 +31,8 @@ Result<ProfileInput> ProfileInput::open(const detail::AppSpecErased& app, const 
       });
       if (at == topics.end())
         return fail(ErrorCode::kInvalid,
-                    "has no messages for topic '" + graph.topics[t].spec.name + "'", session.input);
+                    "has no messages for topic '" + graph.topics[t].spec.name + "'",
+                    session.releases.input);
     }
   }
   return input;

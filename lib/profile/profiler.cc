@@ -58,10 +58,11 @@ ProfileConditions conditions(const Session& session) {
   uname(&name);
   c.machine = std::string(name.nodename) + " " + name.machine + " " + name.release;
   c.platform = session.platform.name;
-  c.input = session.input;
-  c.warmup = static_cast<std::int64_t>(session.warmup);
-  c.repetitions = static_cast<std::int64_t>(session.repetitions);
-  std::ifstream(session.machine_root + "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor") >>
+  c.input = session.releases.input;
+  c.warmup = static_cast<std::int64_t>(session.profile.warmup);
+  c.repetitions = static_cast<std::int64_t>(session.profile.repetitions);
+  std::ifstream(session.profile.machine_root +
+                "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor") >>
       c.governor;
   return c;
 }
@@ -125,7 +126,7 @@ class Run {
         graph_(graph),
         samples_(graph.nodes.size()),
         memory_kb_(graph.nodes.size()),
-        machine_(session.machine_root) {
+        machine_(session.profile.machine_root) {
     for (const Graph::Node& node : graph.nodes) {
       alternatives_.emplace_back();
       variants_.emplace_back();
@@ -147,7 +148,7 @@ class Run {
                         "' that is here or emulated",
                     "XNode '" + graph_.nodes[n].name + "'");
     using Keep = detail::Inlet::Keep;
-    inlets_.emplace(app_, session_.input.empty() ? Keep::kNewest : Keep::kNone);
+    inlets_.emplace(app_, session_.releases.input.empty() ? Keep::kNewest : Keep::kNone);
     XAUTO_TRY(detail::call(app_.on_start, "on_start", app_.name));
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
@@ -155,8 +156,8 @@ class Run {
       log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}",
                 rt::fifo_hint());
     XAUTO_TRY(leave_out_missing_cores());
-    if (session_.audit) XAUTO_TRY(prepare_audit());
-    if (session_.contended) corun_.emplace(session_, cores_);
+    if (session_.profile.audit) XAUTO_TRY(prepare_audit());
+    if (session_.profile.contended) corun_.emplace(session_, cores_);
     for (const std::string& beside : classes()) {
       if (!beside.empty() && !can_be_loaded(beside)) {
         note_class(beside);
@@ -164,7 +165,7 @@ class Run {
       }
       XAUTO_TRY(run_passes(alternatives_, beside));
       XAUTO_TRY(run_passes(variants_, beside));
-      for (std::uint64_t round = 0; round < session_.stable_rounds; ++round) {
+      for (std::uint64_t round = 0; round < session_.profile.stable_rounds; ++round) {
         std::vector<Alternatives> again(alternatives_.size());
         if (!not_yet_stable(again, beside)) break;
         XAUTO_TRY(run_passes(again, beside));
@@ -174,19 +175,19 @@ class Run {
     return {};
   }
 
-  /// One release, then the XNodes on session.load_xpu again and again, as the words want it.
+  /// One release, then the XNodes on session.load.xpu again and again, as the words want it.
   Status load(const std::atomic<bool>& stop) {
-    XAUTO_ASSIGN(LoadWords * words, map_load_words(session_.load_fd));
-    inlets_.emplace(
-        app_, session_.input.empty() ? detail::Inlet::Keep::kNewest : detail::Inlet::Keep::kNone);
+    XAUTO_ASSIGN(LoadWords * words, map_load_words(session_.load.fd));
+    inlets_.emplace(app_, session_.releases.input.empty() ? detail::Inlet::Keep::kNewest
+                                                          : detail::Inlet::Keep::kNone);
     XAUTO_TRY(detail::call(app_.on_start, "on_start", app_.name));
     // The profiler has a priority and a core, which its children inherit.
     XAUTO_TRY(rt::set_other());
-    cores_ = session_.load_cores;
+    cores_ = session_.load.cores;
     Placing placing;
     for (const Alternatives& all : alternatives_) {
       const auto there = std::find_if(all.begin(), all.end(), [&](const Alternative& one) {
-        return one.xpu == session_.load_xpu;
+        return one.xpu == session_.load.xpu;
       });
       placing.on.push_back(there != all.end() ? *there : all.front());
     }
@@ -195,14 +196,14 @@ class Run {
     newest_.assign(graph_.topics.size(), nullptr);
     Messages messages(graph_.topics.size());
     XAUTO_ASSIGN(const bool any, feed.next(messages));
-    if (!any) return fail(ErrorCode::kInvalid, "has no release", session_.input);
+    if (!any) return fail(ErrorCode::kInvalid, "has no release", session_.releases.input);
     std::vector<std::shared_ptr<void>> states;
     for (const Graph::Module& module : graph_.modules) states.push_back(module.spec->make_state());
     const auto run_one = [&](int m) {
       return run_module(m, placing, 0, states[static_cast<std::size_t>(m)].get(), messages);
     };
     for (const int m : graph_.module_order) XAUTO_TRY(run_one(m));
-    placing.only = session_.load_xpu;
+    placing.only = session_.load.xpu;
     std::vector<int> modules = graph_.module_order;
     std::erase_if(modules, [&](int m) {
       const std::vector<int>& nodes = graph_.modules[static_cast<std::size_t>(m)].nodes;
@@ -267,7 +268,7 @@ class Run {
     p.conditions.readings = readings_;
     p.conditions.beside = beside_;
     p.conditions.not_beside = not_beside_;
-    p.margin_pct = session_.margin_pct;
+    p.margin_pct = session_.profile.margin_pct;
     for (SourceSpec& source : p.sources)
       if (!source.pushed) source.jitter_us = jitter_us_;
     p.incomplete = incomplete;
@@ -333,9 +334,9 @@ class Run {
     return session_.platform.xpus[static_cast<std::size_t>(x)];
   }
   [[nodiscard]] std::int64_t settled_after() const {
-    return session_.stable_rounds == 0
+    return session_.profile.stable_rounds == 0
                ? 0
-               : static_cast<std::int64_t>(kSettledRounds * session_.repetitions);
+               : static_cast<std::int64_t>(kSettledRounds * session_.profile.repetitions);
   }
 
   /// Whether anything of the class can be loaded beside any of the times taken alone.
@@ -357,7 +358,7 @@ class Run {
 
   [[nodiscard]] std::vector<std::string> classes() const {
     std::vector<std::string> classes = {""};
-    if (!session_.contended) return classes;
+    if (!session_.profile.contended) return classes;
     for (const Xpu& x : session_.platform.xpus)
       if (std::find(classes.begin(), classes.end(), x.type) == classes.end())
         classes.push_back(x.type);
@@ -379,7 +380,7 @@ class Run {
   /// How many questions the audit asks, and so how many repetitions it takes. CPUs are shown and not
   /// judged: whoever waits for another XPU may keep a core busy.
   Status prepare_audit() {
-    audit_.emplace(session_.platform, session_.presence, session_.machine_root, cores_);
+    audit_.emplace(session_.platform, session_.presence, session_.profile.machine_root, cores_);
     bool any = false;
     std::size_t questions = 0;
     for (const std::vector<Alternatives>* all : {&alternatives_, &variants_})
@@ -394,9 +395,10 @@ class Run {
     if (!any)
       return fail(ErrorCode::kUnavailable, "nothing tells how busy the XPUs are", "--audit",
                   "docs/modes.md says what is asked of drivers");
-    if (const std::size_t needed = repetitions_needed(questions); session_.repetitions < needed)
+    if (const std::size_t needed = repetitions_needed(questions);
+        session_.profile.repetitions < needed)
       return fail(ErrorCode::kInvalid,
-                  std::to_string(session_.repetitions) +
+                  std::to_string(session_.profile.repetitions) +
                       " repetitions cannot tell use from chance in " + std::to_string(questions) +
                       " pairs of an XNode and another XPU",
                   "--audit", "use --repetitions " + std::to_string(needed) + " or more");
@@ -448,7 +450,7 @@ class Run {
   Status run_passes(const std::vector<Alternatives>& all, const std::string& beside) {
     std::size_t passes = 0;
     for (const Alternatives& of_node : all) passes = std::max(passes, of_node.size());
-    const std::uint64_t total = passes * (session_.warmup + session_.repetitions);
+    const std::uint64_t total = passes * (session_.profile.warmup + session_.profile.repetitions);
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes; ++pass) {
@@ -465,15 +467,16 @@ class Run {
         placing.on.push_back(placing.counts[n] ? all[n][pass]
                                                : alternatives_[n][pass % alternatives_[n].size()]);
       }
-      for (std::uint64_t k = 0; k < session_.warmup + session_.repetitions; ++k, ++done) {
+      for (std::uint64_t k = 0; k < session_.profile.warmup + session_.profile.repetitions;
+           ++k, ++done) {
         Messages messages(graph_.topics.size());
         XAUTO_ASSIGN(const bool more, feed.next(messages));
         if (!more) {
-          if (k > session_.warmup)
+          if (k > session_.profile.warmup)
             break;  // fewer repetitions than asked for; the profile says how many
           return fail(ErrorCode::kInvalid,
                       "ends after " + std::to_string(k) + " releases, within the warm-up",
-                      session_.input, "record more, or use fewer --warmup");
+                      session_.releases.input, "record more, or use fewer --warmup");
         }
         for (const int m : graph_.module_order)
           XAUTO_TRY(run_module(m, placing, k, states[static_cast<std::size_t>(m)].get(), messages));
@@ -552,7 +555,7 @@ class Run {
       }
       const Guard lock(mutex_);
       if (closed_) return fail(ErrorCode::kUnavailable, "stopped");
-      if (k < session_.warmup || !count) continue;
+      if (k < session_.profile.warmup || !count) continue;
       Taken& taken = samples_[index][{placing.beside, as}];
       taken.us.push_back(us);
       taken.emulated = emulated;
@@ -725,9 +728,11 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   int looks_left = kLooksAfterStop;
   while (incomplete.empty() && ended.wait_for(kLookEvery) != std::future_status::ready) {
     if (stop.load() && --looks_left == 0) incomplete = "stopped by the user";
-    if (const std::string exec = shared->run.takes_too_long(session.exec_limit_s * 1'000'000'000);
+    if (const std::string exec =
+            shared->run.takes_too_long(session.profile.exec_limit_s * 1'000'000'000);
         !exec.empty())
-      incomplete = exec + " did not return within " + std::to_string(session.exec_limit_s) + " s";
+      incomplete =
+          exec + " did not return within " + std::to_string(session.profile.exec_limit_s) + " s";
   }
   if (incomplete.empty()) {
     thread.join();

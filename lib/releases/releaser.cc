@@ -47,22 +47,22 @@ Status Releaser::run_here(int fifo) {
   rt::set_timer_slack_1ns();
   if (fifo > 0) (void)rt::set_fifo(fifo);
   using Keep = detail::Inlet::Keep;
-  inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
+  inlets_.emplace(context_.app, context_.session.releases.input.empty() ? Keep::kAll : Keep::kNone);
   if (Status opened = open_feeds(fifo); !opened) {
     inlets_.reset();
     return opened;
   }
   open_for_urgent();
-  if (context_.session.lockstep && context_.session.input.empty() && inlets_->any() &&
-      !context_.graph.single_rate)
+  if (context_.session.releases.lockstep && context_.session.releases.input.empty() &&
+      inlets_->any() && !context_.graph.single_rate)
     log::info(
         "in lockstep the releases of this app are at least 100 ms apart; what is published "
         "meanwhile waits its turn");
   Status status = detail::call(context_.app.on_start, "on_start", context_.app.name);
   if (status)
-    status = !context_.session.input.empty() ? release_recorded()
-             : context_.grid.one_at_a_time   ? release_one_at_a_time()
-                                             : release_periodic();
+    status = !context_.session.releases.input.empty() ? release_recorded()
+             : context_.grid.one_at_a_time            ? release_one_at_a_time()
+                                                      : release_periodic();
   feeds_.reset();
   for (std::string& note : inlets_->close()) notes_.push_back(std::move(note));
   for (std::string& note : account_.notes()) notes_.push_back(std::move(note));
@@ -80,13 +80,13 @@ void Releaser::sleep(std::int64_t until_ns) const {
 
 /// The next release does not come before the last one has ended.
 bool Releaser::waits_for_the_last() const {
-  return context_.session.lockstep || context_.grid.one_at_a_time;
+  return context_.session.releases.lockstep || context_.grid.one_at_a_time;
 }
 
 Status Releaser::drain() {
   if (!waits_for_the_last() || wait_drained()) return {};
   return fail(ErrorCode::kTimeout,
-              context_.session.lockstep
+              context_.session.releases.lockstep
                   ? "no progress for 10 s in lockstep"
                   : "no progress for 10 s, and no source has a rate: the next release "
                     "waits for the end of the last one",
@@ -95,7 +95,7 @@ Status Releaser::drain() {
 
 /// A run by keys takes what is pushed, or fed, for releases of a grid.
 bool Releaser::tracks() const {
-  return context_.grid.periodic && !waits_for_the_last() && context_.session.input.empty();
+  return context_.grid.periodic && !waits_for_the_last() && context_.session.releases.input.empty();
 }
 
 /// The source of `topic` releases when it likes to, and we follow.
@@ -129,7 +129,7 @@ bool Releaser::certifies_urgent(std::size_t source) const {
 
 /// Who runs the app in another way and claims nothing (lockstep) takes it for an ordinary one.
 void Releaser::open_for_urgent() {
-  if (context_.session.lockstep || context_.session.mode != Mode::kRun) return;
+  if (context_.session.releases.lockstep || context_.session.mode != Mode::kRun) return;
   for (std::size_t s = 0; s < context_.app.sources.size(); ++s) {
     if (context_.app.sources[s].inlet == nullptr) continue;
     using Urgent = detail::Inlet::Urgent;
@@ -141,7 +141,7 @@ void Releaser::open_for_urgent() {
 /// What the program says of a message that it has not pushed itself.
 Result<bool> Releaser::marked(std::size_t source, const void* message, std::uint64_t number) {
   const detail::SourceSpec& spec = context_.app.sources[source];
-  if (!spec.urgent || message == nullptr || context_.session.lockstep ||
+  if (!spec.urgent || message == nullptr || context_.session.releases.lockstep ||
       context_.session.mode != Mode::kRun)
     return false;
   bool says = false;
@@ -176,7 +176,7 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
     } else {
       std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
       // In lockstep waiting for its turn is no latency.
-      release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
+      release(context_.session.releases.lockstep ? now_ns() : pushed->waiting.at_ns,
               {{t, number++, std::move(pushed->waiting.message), 0}});
       if (counted_all(t)) return false;
     }
@@ -256,8 +256,9 @@ bool Releaser::wait_drained() {
 /// How long to release, from the first release on. A count is of the slowest source's releases, so
 /// that no source falls silent before the others.
 std::int64_t Releaser::run_length_ns(std::int64_t slowest_period_ns) const {
-  if (context_.session.duration_us > 0) return context_.session.duration_us * 1000;
-  const std::uint64_t count = context_.session.activations;
+  if (context_.session.releases.duration_us > 0)
+    return context_.session.releases.duration_us * 1000;
+  const std::uint64_t count = context_.session.releases.activations;
   if (count == 0 || count > static_cast<std::uint64_t>(kForeverNs / slowest_period_ns))
     return kForeverNs;
   return static_cast<std::int64_t>(count) * slowest_period_ns;
@@ -316,8 +317,8 @@ Releaser::Periodic Releaser::begin_periodic() {
   pushed_.assign(context_.graph.topics.size(), 0);
   streams_.resize(context_.graph.sources.size());
   // Without a polled source there is no time grid: pushes are counted.
-  const bool counts_pushes = run.sources.empty() && context_.session.duration_us == 0;
-  pushes_left_ = counts_pushes ? context_.session.activations : 0;
+  const bool counts_pushes = run.sources.empty() && context_.session.releases.duration_us == 0;
+  pushes_left_ = counts_pushes ? context_.session.releases.activations : 0;
   run.start = now_ns() + 20'000'000;
   if (EarlyStart* early = wiring_.early_start())
     for (const Periodic::Source& s : run.sources)
@@ -380,8 +381,8 @@ Status Releaser::make_messages(Periodic& run, std::int64_t due_ns) {
 
 /// False: the run is over.
 Result<bool> Releaser::wait_until_due(std::int64_t due_ns) {
-  if (inlets_->any() && !context_.session.lockstep) return release_pushed(due_ns);
-  if (!context_.session.lockstep) sleep(due_ns);
+  if (inlets_->any() && !context_.session.releases.lockstep) return release_pushed(due_ns);
+  if (!context_.session.releases.lockstep) sleep(due_ns);
   return !stop_.load();
 }
 
@@ -399,7 +400,7 @@ Status Releaser::release_periodic() {
       if (inlets_->any()) XAUTO_TRY(release_pushed(due));
       break;
     }
-    if (context_.session.lockstep) {
+    if (context_.session.releases.lockstep) {
       XAUTO_ASSIGN(const bool goes_on, take_turn(run, due));
       if (!goes_on) break;
     }
@@ -465,14 +466,14 @@ Status Releaser::release_one_at_a_time() {
       context_.grid.sources.empty() ? 0 : context_.grid.sources.front().period_ns();
   const std::int64_t start = now_ns() + 20'000'000;
   const std::int64_t end =
-      session.duration_us > 0 ? start + session.duration_us * 1000 : kForeverNs;
+      session.releases.duration_us > 0 ? start + session.releases.duration_us * 1000 : kForeverNs;
   std::int64_t due = start, longest_wait_ns = 0;
   std::uint64_t waited = 0, number = 0;
   std::vector<Sample> samples;
-  for (; !stop_.load() &&
-         (session.activations == 0 || session.duration_us > 0 || number < session.activations);
+  for (; !stop_.load() && (session.releases.activations == 0 || session.releases.duration_us > 0 ||
+                           number < session.releases.activations);
        ++number) {
-    if (session.lockstep && !wait_drained()) break;  // the run tells what does not end
+    if (session.releases.lockstep && !wait_drained()) break;  // the run tells what does not end
     samples.clear();
     // Messages are made before their release, so that making them does not count as latency.
     for (const std::size_t t : polled) {
@@ -480,15 +481,15 @@ Status Releaser::release_one_at_a_time() {
       XAUTO_ASSIGN(auto message, make_message(source, t, number, std::max(due, now_ns())));
       samples.push_back({static_cast<int>(t), number, std::move(message), 0});
     }
-    if (!session.lockstep && !polled.empty()) sleep(std::min(due, end));
+    if (!session.releases.lockstep && !polled.empty()) sleep(std::min(due, end));
     XAUTO_ASSIGN(const bool all, gather_pushed(samples, number, end));
     if (!all || stop_.load() || std::max(due, now_ns()) >= end) break;
     std::int64_t there_ns = polled.empty() ? 0 : due;
     for (const Sample& sample : samples) there_ns = std::max(there_ns, sample.stamp_ns);
-    const bool free = !session.lockstep && ledger_.all_ended();
+    const bool free = !session.releases.lockstep && ledger_.all_ended();
     if (!wait_drained()) break;
     const std::int64_t now = now_ns();
-    if (!session.lockstep && !free) {
+    if (!session.releases.lockstep && !free) {
       ++waited;
       longest_wait_ns = std::max(longest_wait_ns, now - there_ns);
     }
@@ -497,7 +498,7 @@ Status Releaser::release_one_at_a_time() {
       sample.stamp_ns = 0;
     }
     release(now, samples);
-    due = session.lockstep ? now : std::max(due + period_ns, now);
+    due = session.releases.lockstep ? now : std::max(due + period_ns, now);
   }
   if (waited > 0)
     notes_.push_back(
@@ -651,11 +652,12 @@ constexpr int kMaxGapsTold = 5;
 std::int64_t Releaser::distance_ns(std::int64_t from_ns, std::int64_t to_ns) {
   const Session& session = context_.session;
   const auto recorded_ns =
-      static_cast<std::int64_t>(static_cast<double>(to_ns - from_ns) / session.input_rate);
-  const std::int64_t distance_ns = session.input_max_gap_us > 0
-                                       ? std::min(recorded_ns, session.input_max_gap_us * 1000)
-                                       : recorded_ns;
-  if (to_ns - from_ns <= record::kGapNs || session.lockstep) return distance_ns;
+      static_cast<std::int64_t>(static_cast<double>(to_ns - from_ns) / session.releases.input_rate);
+  const std::int64_t distance_ns =
+      session.releases.input_max_gap_us > 0
+          ? std::min(recorded_ns, session.releases.input_max_gap_us * 1000)
+          : recorded_ns;
+  if (to_ns - from_ns <= record::kGapNs || session.releases.lockstep) return distance_ns;
   std::string line = "the recording has " + record::gap_text(from_ns, to_ns) + ": ";
   line +=
       distance_ns < recorded_ns
@@ -671,7 +673,7 @@ std::int64_t Releaser::distance_ns(std::int64_t from_ns, std::int64_t to_ns) {
 /// lockstep, or at the recorded distances in time (as `input_rate` and `input_max_gap_us` have
 /// them, or `period_us`).
 Status Releaser::release_recorded() {
-  XAUTO_ASSIGN(auto recording, record::Recording::open(context_.session.input));
+  XAUTO_ASSIGN(auto recording, record::Recording::open(context_.session.releases.input));
   std::vector<int> topic_of(recording.topics().size(), -1);
   std::set<int> missing;
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t)
@@ -688,9 +690,9 @@ Status Releaser::release_recorded() {
     return context_.graph.topics[static_cast<std::size_t>(t)].spec.name;
   };
   if (!missing.empty())
-    return fail(ErrorCode::kInvalid,
-                "has no messages for topic '" + topic_name(*missing.begin()) + "'",
-                context_.session.input, "record the app's own sources with `xauto run --record`");
+    return fail(
+        ErrorCode::kInvalid, "has no messages for topic '" + topic_name(*missing.begin()) + "'",
+        context_.session.releases.input, "record the app's own sources with `xauto run --record`");
 
   std::vector<std::uint64_t> sequence(context_.graph.topics.size(), 0);
   // Messages of one instant are one release; so are the k-th messages of all topics in a
@@ -701,8 +703,8 @@ Status Releaser::release_recorded() {
   std::int64_t last_stamp = -1, start = 0, at_ns = 0;
   std::uint64_t releases = 0, counted = 0;  // of all sources; of the slowest
   const int slowest = slowest_source();
-  while (!stop_.load() &&
-         (context_.session.activations == 0 || counted < context_.session.activations)) {
+  while (!stop_.load() && (context_.session.releases.activations == 0 ||
+                           counted < context_.session.releases.activations)) {
     XAUTO_ASSIGN(auto message, recording.next());
     if (!message) break;
     const int t = topic_of[message->topic];
@@ -718,7 +720,7 @@ Status Releaser::release_recorded() {
       batch.push_back({t, number, spec.decode(data), 0});
     } catch (const std::exception& e) {
       return fail(ErrorCode::kInvalid, "message " + std::to_string(number) + ": " + e.what(),
-                  context_.session.input + ": topic '" + spec.name + "'");
+                  context_.session.releases.input + ": topic '" + spec.name + "'");
     }
     ++number;
     if (context_.graph.single_rate && batch.size() < num_topics) continue;
@@ -726,13 +728,15 @@ Status Releaser::release_recorded() {
       last_stamp = message->timestamp_ns;
       start = now_ns() + 20'000'000;
     }
-    if (context_.session.period_us > 0)
-      at_ns = static_cast<std::int64_t>(releases) * context_.session.period_us * 1000;
+    if (context_.session.releases.period_us > 0)
+      at_ns = static_cast<std::int64_t>(releases) * context_.session.releases.period_us * 1000;
     else
       at_ns += distance_ns(last_stamp, message->timestamp_ns);
     last_stamp = message->timestamp_ns;
-    if (context_.session.duration_us > 0 && at_ns >= context_.session.duration_us * 1000) break;
-    if (!context_.session.lockstep) sleep(start + at_ns);
+    if (context_.session.releases.duration_us > 0 &&
+        at_ns >= context_.session.releases.duration_us * 1000)
+      break;
+    if (!context_.session.releases.lockstep) sleep(start + at_ns);
     XAUTO_TRY(drain());
     if (stop_.load()) break;
     release(now_ns(), batch);

@@ -11,9 +11,9 @@
 namespace xauto::runtime {
 
 Result<std::unique_ptr<RunRecorder>> RunRecorder::open(const Context& context, Wiring& wiring) {
-  if (context.session.record.empty()) return std::unique_ptr<RunRecorder>();
+  if (context.session.releases.record.empty()) return std::unique_ptr<RunRecorder>();
   std::unique_ptr<RunRecorder> run(new RunRecorder(context));
-  XAUTO_ASSIGN(auto recorder, record::Recorder::create(context.session.record));
+  XAUTO_ASSIGN(auto recorder, record::Recorder::create(context.session.releases.record));
   run->recorded_topic_.assign(context.graph.topics.size(), 0);
   for (std::size_t t = 0; t < context.graph.topics.size(); ++t)
     XAUTO_TRY(run->record_topic(recorder, wiring, t));
@@ -31,7 +31,7 @@ Result<std::unique_ptr<RunRecorder>> RunRecorder::open(const Context& context, W
 Status RunRecorder::record_topic(record::Recorder& recorder, Wiring& wiring, std::size_t topic) {
   const Graph::Topic& of = context_.graph.topics[topic];
   const bool is_source = of.source >= 0;
-  if (!is_source && !context_.session.record_outputs) return {};
+  if (!is_source && !context_.session.releases.record_outputs) return {};
   if (of.spec.encode == nullptr) {
     if (is_source)
       return fail(ErrorCode::kInvalid,
@@ -53,8 +53,9 @@ Status RunRecorder::record_topic(record::Recorder& recorder, Wiring& wiring, std
 void RunRecorder::record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequence,
                          const void* message) {
   if (message == nullptr || !records_.load(std::memory_order_relaxed)) return;
-  const auto if_full = context_.session.lockstep ? record::BackgroundRecorder::IfFull::kWait
-                                                 : record::BackgroundRecorder::IfFull::kLose;
+  const auto if_full = context_.session.releases.lockstep
+                           ? record::BackgroundRecorder::IfFull::kWait
+                           : record::BackgroundRecorder::IfFull::kLose;
   const std::int64_t stamp_ns = now_ns + wall_offset_ns_;
   try {
     const detail::TopicSpec& spec = context_.graph.topics[topic].spec;

@@ -14,8 +14,9 @@ namespace xauto::runtime {
 
 bool EarlyStart::may_be(const Context& context) {
   const Session& session = context.session;
-  return context.scheduled() && session.keys && !session.tables && !session.lockstep &&
-         !session.app.one_at_a_time && session.input.empty() && context.plan.processes == 1;
+  return context.scheduled() && session.keys && !session.tables && !session.releases.lockstep &&
+         !session.app.one_at_a_time && session.releases.input.empty() &&
+         context.plan.processes == 1;
 }
 
 Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const Platform& platform,

@@ -44,7 +44,7 @@ FifoRange choose_priorities(const Session& session, FifoRange& fifo, std::string
   const int highest = rt::highest_fifo();
   fifo = FifoRange::within(highest);
   // With sched_ext too: what is no XNode runs above it, and it may go at any time.
-  const bool real_cpus_wanted = session.cpu_sched != CpuSched::kOther;
+  const bool real_cpus_wanted = session.cpu.sched != CpuSched::kOther;
   if (!session.emulates() && !real_cpus_wanted) return FifoRange::within(0);
   if (fifo.none()) {
     note = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " + rt::fifo_hint();
@@ -57,7 +57,7 @@ FifoRange choose_priorities(const Session& session, FifoRange& fifo, std::string
   if (session.scheduling == Scheduling::kXAuto && real_cpus_wanted && !cpus.empty()) {
     if (const std::string pressed = fifo.note(highest, session.policy, cpus); !pressed.empty()) {
       add_note(note, pressed);
-      if (session.process == 0) log::warn("{}", pressed);
+      if (session.parts.process == 0) log::warn("{}", pressed);
     }
   }
   FifoRange plan = fifo;
@@ -122,9 +122,9 @@ AppSpec longest(const Session& session) {
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
 std::vector<std::string> unkept_of_keys(const Session& session) {
   std::vector<std::string> lines;
-  if (session.lockstep && !session.app.one_at_a_time)
+  if (session.releases.lockstep && !session.app.one_at_a_time)
     lines.emplace_back("each release waits for the one before (--lockstep)");
-  if (!session.input.empty() && !session.app.one_at_a_time)
+  if (!session.releases.input.empty() && !session.app.one_at_a_time)
     lines.emplace_back("a recording is released as it was recorded, not as app.json says");
   for (const ModuleSpec& module : session.app.modules)
     if (const auto said = session.deployment.of(module.name).overload;
@@ -158,7 +158,7 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
     const Xpu& xpu = session.platform.xpus[x];
     if (!real_and_used(session, x)) continue;
-    const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu_by_keys);
+    const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu.by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
       lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
     if (discipline == Discipline::kLevels)
@@ -168,7 +168,7 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
             "wait "
             "for the job that runs",
             xpu.id, there, xpu.levels == 0 ? "any number" : std::to_string(xpu.levels)));
-    if (session.keys && discipline == Discipline::kKernel && session.cpu_sched != CpuSched::kExt)
+    if (session.keys && discipline == Discipline::kKernel && session.cpu.sched != CpuSched::kExt)
       lines.push_back("nobody keeps keys on " + xpu.id +
                       ": without SCHED_FIFO Linux orders its threads as it likes");
   }
@@ -242,7 +242,7 @@ void Placing::compare_with_certificate(const Session& session) {
   }
   if (!session.tables) return;
   const bool kept =
-      session.cpu_sched == CpuSched::kExt || (session.cpu_sched == CpuSched::kFifo && !fifo.none());
+      session.cpu.sched == CpuSched::kExt || (session.cpu.sched == CpuSched::kFifo && !fifo.none());
   const std::vector<int> cpus = session.platform.instances_of("cpu");
   const bool real_cpus = std::any_of(
       cpus.begin(), cpus.end(), [&](int x) { return session.presence_of(x) == Presence::kReal; });
@@ -261,14 +261,14 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   const bool emulated = session.emulated(at);
   const bool real_cpu = !emulated && x.type == "cpu";
   WorkerOptions options{.backend = {x, xpu_id(platform, at), emulated, session.emulator_modules,
-                                    scheduled, session.cpu_by_keys}};
+                                    scheduled, session.cpu.by_keys}};
   options.xpu = at;
   options.preempt_ns = x.preempt_us * 1000;
   options.name = context.graph.modules[module].name +
                  (index > 0 ? fmt::format("#{}", index + 1) : "") + "@" + x.id;
   options.mgmt_fifo = workers.management;
   options.exec_fifo = !real_cpu             ? workers.execution
-                      : session.cpu_by_keys ? xpu::kCpuAsks
+                      : session.cpu.by_keys ? xpu::kCpuAsks
                       : scheduled           ? workers.cpu_lowest
                                             : 0;
   const xpu::Hardware machine = xpu::Hardware::here();

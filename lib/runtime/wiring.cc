@@ -36,10 +36,10 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
   auto wiring = std::unique_ptr<Wiring>(new Wiring(context, placing, role));
   Wiring& w = *wiring;
   const Session& session = context.session;
-  XAUTO_ASSIGN(w.threads_, xpu::CpuThreads::create({.run = session.cpu_run,
-                                                    .first_xnode = session.cpu_first_xnode,
-                                                    .scheduler_pid = session.cpu_scheduler_pid,
-                                                    .partial = session.cpu_partial}));
+  XAUTO_ASSIGN(w.threads_, xpu::CpuThreads::create({.run = session.cpu.run,
+                                                    .first_xnode = session.cpu.first_xnode,
+                                                    .scheduler_pid = session.cpu.scheduler_pid,
+                                                    .partial = session.cpu.partial}));
   if (context.scheduled() && !session.coordinators.empty())
     w.held_up_ = std::make_unique<HeldUp>(context, placing);
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
@@ -153,7 +153,7 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   }
   if (!session.emulated(xpu) && x.type == "cpu")
     placed.fifo_priority =
-        session.cpu_by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
+        session.cpu.by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
   return placed;
 }
 
@@ -162,7 +162,7 @@ Status Wiring::open_topics() {
   publishers_.resize(context_.graph.topics.size());
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     const Plan::Remote& remote = context_.plan.topics[t];
-    if (remote.readers.empty() || remote.publisher != context_.session.process) continue;
+    if (remote.readers.empty() || remote.publisher != context_.session.parts.process) continue;
     ringers_.push_back(std::make_unique<BoardRinger>(role_.board(), remote.readers));
     XAUTO_ASSIGN(publishers_[t],
                  role_.link(t).publisher(context_.graph.topics[t].spec, ringers_.back().get()));
@@ -239,7 +239,7 @@ Status Wiring::start() {
 
 Status Wiring::open_inputs() {
   thread_.check();
-  const int process = context_.session.process;
+  const int process = context_.session.parts.process;
   if (context_.plan.processes == 1) return {};
   receiver_ = std::make_unique<transport::Receiver>(context_.board.process(process).doorbell);
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
@@ -281,7 +281,7 @@ void Wiring::skip(int module, std::uint64_t sequence) {
 }
 
 bool Wiring::lost_scheduler() const {
-  return context_.session.cpu_scheduler_pid != 0 && !threads_->ext();
+  return context_.session.cpu.scheduler_pid != 0 && !threads_->ext();
 }
 
 void Wiring::report(RunReport& into) {

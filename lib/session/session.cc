@@ -114,22 +114,44 @@ void fields(Io io, T& x) {
   io("code", x.code, "what", x.what, "where", x.where, "hint", x.hint);
 }
 
-/// All but the formats of lib/model, which travel as the texts that their own readers check, and
-/// `process`.
+template <class Io, Is<ProfileRequest> T>
+void fields(Io io, T& x) {
+  io("warmup", x.warmup, "repetitions", x.repetitions, "margin_pct", x.margin_pct, "exec_limit_s",
+     x.exec_limit_s, "stable_rounds", x.stable_rounds, "contended", x.contended, "audit", x.audit,
+     "machine_root", x.machine_root);
+}
+
+template <class Io, Is<LoadRequest> T>
+void fields(Io io, T& x) {
+  io("xpu", x.xpu, "fd", x.fd, "cores", x.cores);
+}
+
+template <class Io, Is<ReleaseRequest> T>
+void fields(Io io, T& x) {
+  io("activations", x.activations, "duration_us", x.duration_us, "lockstep", x.lockstep,
+     "period_us", x.period_us, "input", x.input, "input_rate", x.input_rate, "input_max_gap_us",
+     x.input_max_gap_us, "record", x.record, "record_outputs", x.record_outputs);
+}
+
+template <class Io, Is<CpuPlan> T>
+void fields(Io io, T& x) {
+  io("sched", x.sched, "run", x.run, "first_xnode", x.first_xnode, "scheduler_pid", x.scheduler_pid,
+     "partial", x.partial, "by_keys", x.by_keys);
+}
+
+/// All but `process`.
+template <class Io, Is<ProcessPlan> T>
+void fields(Io io, T& x) {
+  io("modules", x.modules, "hub", x.hub, "hub_fd", x.hub_fd);
+}
+
+/// All but the formats of lib/model, which travel as the texts that their own readers check.
 template <class Io, Is<Session> T>
 void fields(Io io, T& x) {
-  io("mode", x.mode, "scheduling", x.scheduling, "cpu_sched", x.cpu_sched, "cpu_run", x.cpu_run,
-     "cpu_first_xnode", x.cpu_first_xnode, "cpu_scheduler_pid", x.cpu_scheduler_pid, "cpu_partial",
-     x.cpu_partial, "cpu_by_keys", x.cpu_by_keys, "presence", x.presence, "emulator_modules",
-     x.emulator_modules, "coordinators", x.coordinators, "activations", x.activations,
-     "duration_us", x.duration_us, "lockstep", x.lockstep, "period_us", x.period_us, "input",
-     x.input, "input_rate", x.input_rate, "input_max_gap_us", x.input_max_gap_us, "record",
-     x.record, "record_outputs", x.record_outputs, "warmup", x.warmup, "repetitions", x.repetitions,
-     "margin_pct", x.margin_pct, "exec_limit_s", x.exec_limit_s, "stable_rounds", x.stable_rounds,
-     "contended", x.contended, "audit", x.audit, "load_xpu", x.load_xpu, "load_fd", x.load_fd,
-     "load_cores", x.load_cores, "machine_root", x.machine_root, "answer_fd", x.answer_fd,
-     "trace_fd", x.trace_fd, "board_fd", x.board_fd, "trace_keep_s", x.trace_keep_s, "processes",
-     x.processes, "hub", x.hub, "hub_fd", x.hub_fd);
+  io("mode", x.mode, "scheduling", x.scheduling, "cpu", x.cpu, "presence", x.presence,
+     "emulator_modules", x.emulator_modules, "coordinators", x.coordinators, "releases", x.releases,
+     "profile", x.profile, "load", x.load, "parts", x.parts, "answer_fd", x.answer_fd, "trace_fd",
+     x.trace_fd, "board_fd", x.board_fd, "trace_keep_s", x.trace_keep_s);
 }
 
 constexpr Mode last(Mode) {
@@ -360,7 +382,7 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> Session::order_on(int xpu) 
 }
 
 Result<std::string> to_json(const Session& s) {
-  for (const std::string& path : {s.input, s.record, s.machine_root})
+  for (const std::string& path : {s.releases.input, s.releases.record, s.profile.machine_root})
     if (Json::parse(Json(path).dump())->text() != path)
       return fail(ErrorCode::kInvalid, "a path that is not UTF-8", path,
                   "give the file another name");
@@ -394,9 +416,9 @@ Result<Session> parse_session(const std::string& text) {
   if (!s.presence.empty() && s.presence.size() != s.platform.xpus.size())
     return fail(ErrorCode::kInvalid, "the session does not say of each XPU whether it is real");
   if (s.mode == Mode::kLoad &&
-      (s.load_xpu < 0 || s.load_xpu >= static_cast<int>(s.platform.xpus.size()) ||
-       s.load_cores.empty()))
-    return malformed("session: load_xpu");
+      (s.load.xpu < 0 || s.load.xpu >= static_cast<int>(s.platform.xpus.size()) ||
+       s.load.cores.empty()))
+    return malformed("session: load");
   if (s.mode != Mode::kRun) {
     if (!j->has("deployment")) return s;
     XAUTO_ASSIGN(s.deployment, parse_deployment(member("deployment"), "session"));
@@ -429,10 +451,10 @@ Result<std::optional<Session>> inherited_session() {
   if (const char* process = std::getenv(kProcessVariable); process != nullptr) {
     const long index = std::strtol(process, &end, 10);
     if (end == process || *end != '\0' || index < 0 ||
-        index > static_cast<long>(session.processes.size()))
+        index > static_cast<long>(session.parts.modules.size()))
       return fail(ErrorCode::kInvalid, std::string(kProcessVariable) + "='" + process +
                                            "' is not a process of this app");
-    session.process = static_cast<int>(index);
+    session.parts.process = static_cast<int>(index);
   }
   return std::optional<Session>(std::move(session));
 }

@@ -41,6 +41,61 @@ enum class Scheduling : std::uint8_t {
 /// How threads of CPU XNodes are scheduled when the CPUs are real.
 enum class CpuSched : std::uint8_t { kFifo, kOther, kExt };
 
+/// kProfile: what is timed, and how often.
+struct ProfileRequest {
+  std::uint64_t warmup = 3, repetitions = 30;
+  std::int64_t margin_pct = 20;
+  std::int64_t exec_limit_s = 30;   ///< one that takes longer ends it
+  std::uint64_t stable_rounds = 0;  ///< further rounds of repetitions for wide spreads
+  bool contended = false;           ///< also beside a load of each type of XPU (profile/corun.h)
+  bool audit = false;               ///< how busy other XPUs are meanwhile (profile/audit.h)
+  std::string
+      machine_root;  ///< where the machine's /sys, /proc and /var are; empty: where they belong
+};
+
+/// kLoad: which XPU is kept busy.
+struct LoadRequest {
+  int xpu = -1;
+  int fd = -1;             ///< memfd with the LoadWords
+  std::vector<int> cores;  ///< where its threads may run
+};
+
+/// kRun: what is released, out of what, and for how long; and what of it is recorded.
+struct ReleaseRequest {
+  /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
+  /// stop, or the input's end.
+  std::uint64_t activations = 0;
+  std::int64_t duration_us = 0;       ///< release for so long instead; 0: count
+  bool lockstep = false;              ///< the next release comes when the last one has drained
+  std::int64_t period_us = 0;         ///< instead of the sources' own; 0: theirs
+  std::string input;                  ///< recorded input; empty: the sources' own messages
+  double input_rate = 1;              ///< replayed so much faster than it was recorded
+  std::int64_t input_max_gap_us = 0;  ///< no longer between two of its releases; 0: as recorded
+  std::string record;                 ///< record the sources' messages into this file; empty: don't
+  bool record_outputs = false;        ///< ... and what modules publish
+};
+
+/// How real CPUs keep the policy: what whoever starts the run has decided, once.
+struct CpuPlan {
+  CpuSched sched = CpuSched::kFifo;
+  std::string run;                ///< the run's BPF maps (kernel/run_maps.h); empty: none
+  std::uint32_t first_xnode = 0;  ///< number of XNode 0 there: another run's maps have its own
+  int scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
+  bool partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
+  /// They follow keys by SCHED_FIFO: the coordinator admits one job per core and has the others
+  /// lowered. Of a policy of keys, where that is permitted and sched_ext does not do it.
+  bool by_keys = false;
+};
+
+/// The app in several processes.
+struct ProcessPlan {
+  /// Modules by process, beside the hub; empty: all in one. See processes/plan.h.
+  std::vector<std::vector<std::string>> modules;
+  std::string hub;  ///< abstract socket
+  int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
+  int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
+};
+
 struct Session {
   Mode mode = Mode::kRun;
   AppSpec app;  ///< kRun
@@ -54,40 +109,14 @@ struct Session {
   std::optional<Tables> tables;
   std::vector<PriorityPlan> by_table;  ///< [table]; empty: `policy` alone
   Scheduling scheduling = Scheduling::kXAuto;
-  CpuSched cpu_sched = CpuSched::kFifo;
-  std::string cpu_run;                ///< the run's BPF maps (kernel/run_maps.h); empty: none
-  std::uint32_t cpu_first_xnode = 0;  ///< number of XNode 0 there: another run's maps have its own
-  int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
-  /// Real CPUs follow keys by SCHED_FIFO: the coordinator admits one job per core and has the others
-  /// lowered. Of a policy of keys, where that is permitted and sched_ext does not do it. Decided
-  /// once, by whoever starts the run.
-  bool cpu_by_keys = false;
-  bool cpu_partial = false;        ///< ... which schedules only threads that ask for SCHED_EXT
+  CpuPlan cpu;
   std::vector<Presence> presence;  ///< [XPU]; empty: all are real
   bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
-  /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
-  /// stop, or the input's end.
-  std::uint64_t activations = 0;
-  std::int64_t duration_us = 0;       ///< release for so long instead; 0: count
-  bool lockstep = false;              ///< the next release comes when the last one has drained
-  std::int64_t period_us = 0;         ///< instead of the sources' own; 0: theirs
-  std::string input;                  ///< recorded input; empty: the sources' own messages
-  double input_rate = 1;              ///< replayed so much faster than it was recorded
-  std::int64_t input_max_gap_us = 0;  ///< no longer between two of its releases; 0: as recorded
-  std::string record;                 ///< record the sources' messages into this file; empty: don't
-  bool record_outputs = false;        ///< ... and what modules publish
-  std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
-  std::int64_t margin_pct = 20;                ///< kProfile
-  std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it
-  std::uint64_t stable_rounds = 0;  ///< kProfile: further rounds of repetitions for wide spreads
-  bool contended = false;  ///< kProfile: also beside a load of each type of XPU (profile/corun.h)
-  bool audit = false;      ///< kProfile: how busy other XPUs are meanwhile (profile/audit.h)
-  int load_xpu = -1;       ///< kLoad: which
-  int load_fd = -1;        ///< kLoad: memfd with the LoadWords
-  std::vector<int> load_cores;  ///< kLoad: where its threads may run
-  /// kProfile: where the machine's /sys, /proc and /var are; empty: where they belong
-  std::string machine_root;
+  ReleaseRequest releases;
+  ProfileRequest profile;
+  LoadRequest load;
+  ProcessPlan parts;
   int answer_fd = -1;       ///< memfd for the Answer
   int trace_fd = -1;        ///< memfd for the trace; -1: none
   int board_fd = -1;        ///< memfd for the board (board.h); -1: nobody looks
@@ -95,12 +124,6 @@ struct Session {
 
   /// Of the other modes what names modules and topics, and parameters; of no app: none.
   Deployment deployment;
-
-  /// Modules by process, beside the hub; empty: all in one. See isolation.h.
-  std::vector<std::vector<std::string>> processes;
-  std::string hub;  ///< abstract socket
-  int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
-  int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
 
   void take_policy(Policy made);
   void take_tables(Tables all);

@@ -35,9 +35,10 @@ bool emulates_type(const Session& session, const std::string& type) {
 /// Of the first source; 0: none is stated.
 std::int64_t period_ns(const Context& context) {
   const Session& session = context.session;
-  if (!session.input.empty() || session.lockstep || context.app.sources.empty()) return 0;
-  return 1000 * (session.period_us > 0 ? session.period_us
-                                       : context.app.sources.front().period.floor_us());
+  if (!session.releases.input.empty() || session.releases.lockstep || context.app.sources.empty())
+    return 0;
+  return 1000 * (session.releases.period_us > 0 ? session.releases.period_us
+                                                : context.app.sources.front().period.floor_us());
 }
 
 }  // namespace

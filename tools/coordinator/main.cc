@@ -29,7 +29,7 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
   options.xpu = xpu;
   const xauto::Xpu& instance = session.platform.xpus[static_cast<std::size_t>(index)];
   options.discipline =
-      xauto::xpu::discipline_of(instance, session.emulated(index), session.cpu_by_keys);
+      xauto::xpu::discipline_of(instance, session.emulated(index), session.cpu.by_keys);
   options.levels = xauto::xpu::levels_of(instance, session.emulated(index));
   options.by_keys = session.keys.has_value();
   for (std::size_t table = 0; table < session.num_tables(); ++table)

@@ -303,18 +303,18 @@ Result<Profile> measure(const ProfileFlags& flags, const Platform& platform) {
   session.mode = runtime::Mode::kProfile;
   session.platform = platform;
   XAUTO_ASSIGN(session.presence, flags.emulation.decide(platform, nullptr));
-  session.input = flags.input;
+  session.releases.input = flags.input;
   if (!flags.deployment.empty()) {
     XAUTO_ASSIGN(session.deployment, load_deployment(flags.deployment));
   }
-  session.warmup = flags.warmup;
-  session.repetitions = flags.repetitions;
-  session.margin_pct = flags.margin_pct;
-  session.exec_limit_s = flags.exec_limit_s;
-  session.stable_rounds = flags.stable ? kStableRounds : 0;
-  session.machine_root = flags.machine_root;
-  session.contended = flags.contended;
-  session.audit = flags.audit;
+  session.profile.warmup = flags.warmup;
+  session.profile.repetitions = flags.repetitions;
+  session.profile.margin_pct = flags.margin_pct;
+  session.profile.exec_limit_s = flags.exec_limit_s;
+  session.profile.stable_rounds = flags.stable ? kStableRounds : 0;
+  session.profile.machine_root = flags.machine_root;
+  session.profile.contended = flags.contended;
+  session.profile.audit = flags.audit;
   if (!flags.script.empty()) {
     XAUTO_ASSIGN(request.emulation, load_script(flags.script, platform, session.presence));
   }

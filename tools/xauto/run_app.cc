@@ -217,23 +217,24 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   if (run.policy) session.policy = *run.policy;
   session.keys = run.keys;
   if (run.tables) session.take_tables(*run.tables);
-  session.cpu_sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
+  session.cpu.sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
                       : flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo
                                                   : runtime::CpuSched::kOther;
   request.cpu_budget_pct = flags.cpu_budget_pct;
   session.presence = flags.presence;
   session.emulator_modules = flags.emulator_modules;
-  session.activations = flags.activations;
-  session.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));
-  session.lockstep = flags.lockstep;
-  session.period_us = flags.period_us;
-  session.input = flags.input;
-  session.input_rate = flags.input_rate;
-  session.input_max_gap_us = static_cast<std::int64_t>(std::llround(flags.input_max_gap_s * 1e6));
-  session.record = flags.record_path;
-  session.record_outputs = flags.record_outputs;
+  session.releases.activations = flags.activations;
+  session.releases.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));
+  session.releases.lockstep = flags.lockstep;
+  session.releases.period_us = flags.period_us;
+  session.releases.input = flags.input;
+  session.releases.input_rate = flags.input_rate;
+  session.releases.input_max_gap_us =
+      static_cast<std::int64_t>(std::llround(flags.input_max_gap_s * 1e6));
+  session.releases.record = flags.record_path;
+  session.releases.record_outputs = flags.record_outputs;
   session.deployment = flags.deployment;
-  session.processes = flags.deployment.processes(flags.app);
+  session.parts.modules = flags.deployment.processes(flags.app);
   request.emulation = flags.script;
   request.command = flags.command;
   request.stop = stop;

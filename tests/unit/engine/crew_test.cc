@@ -96,7 +96,7 @@ struct RandomApp {
 TEST(Crew, OneReleaseRunsInTheOrderOfItsUrgencies) {
   for (unsigned seed = 1; seed <= 60; ++seed) {
     RandomApp random(seed);
-    random.app.session.activations = 1;
+    random.app.session.releases.activations = 1;
     const auto report = random.app.run();
     ASSERT_TRUE(report) << seed << ": " << report.error().to_string();
     std::vector<std::string> expected = random.simulate();
@@ -109,8 +109,8 @@ TEST(Crew, WhateverComesHasAThread) {
   for (unsigned seed = 1; seed <= 6; ++seed) {
     RandomApp random(seed);
     TestApp& app = random.app;
-    app.session.lockstep = false;
-    app.session.activations = 100;
+    app.session.releases.lockstep = false;
+    app.session.releases.activations = 100;
     app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 128};
     std::atomic<int> turn{0};
     app.exec = [&](const std::string&, std::uint64_t) -> Status {
@@ -128,8 +128,8 @@ TEST(Crew, WhateverComesHasAThread) {
 /// urgent than c1#0.
 TEST(Crew, AMoreUrgentJobDoesNotWaitForItsThread) {
   TestApp app;
-  app.session.lockstep = false;
-  app.session.activations = 2;
+  app.session.releases.lockstep = false;
+  app.session.releases.activations = 2;
   app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
   const auto memory = make_memory_file("trace");
   ASSERT_TRUE(memory);

@@ -103,8 +103,8 @@ TEST(Engine, RefusesAnAppThatIsNotTheSessions) {
 
 TEST(Engine, OverrunsAreCountedAndNothingHangs) {
   TestApp app;
-  app.session.lockstep = false;
-  app.session.activations = 40;
+  app.session.releases.lockstep = false;
+  app.session.releases.activations = 40;
   app.exec = [](const std::string& node, std::uint64_t) -> Status {
     if (node == "c1") std::this_thread::sleep_for(3ms);  // the sources come every millisecond
     return {};
@@ -119,7 +119,7 @@ TEST(Engine, OverrunsAreCountedAndNothingHangs) {
 
 TEST(Engine, ReleasesAreInFlightTogetherAndEndInOrder) {
   TestApp app;
-  app.session.lockstep = false;
+  app.session.releases.lockstep = false;
   // Nothing is lost however late a release is: each waits for its turn.
   app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
   std::mutex mutex;
@@ -135,7 +135,7 @@ TEST(Engine, ReleasesAreInFlightTogetherAndEndInOrder) {
     if (node != "c1") return {};
     ended.push_back(k);
     // The next release is under way before this one ends: without that, nothing would go on.
-    const bool next = k + 1 == app.session.activations ||
+    const bool next = k + 1 == app.session.releases.activations ||
                       changed.wait_for(lock, 20s, [&] { return begun > k + 1; });
     return next ? Status() : Status(fail(ErrorCode::kTimeout, "no other release is in flight"));
   };
@@ -143,7 +143,7 @@ TEST(Engine, ReleasesAreInFlightTogetherAndEndInOrder) {
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_TRUE(report->complete) << report->note;
   EXPECT_EQ(report->lost_releases, 0u) << report->note;
-  ASSERT_EQ(ended.size(), app.session.activations);
+  ASSERT_EQ(ended.size(), app.session.releases.activations);
   EXPECT_TRUE(std::is_sorted(ended.begin(), ended.end()));
 }
 
@@ -232,8 +232,8 @@ TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
          return std::make_shared<const int>(static_cast<int>(k));
        }});
   app.spec.modules[1]->inputs = {*detail::topic_spec(slow)};  // B
-  app.session.lockstep = false;
-  app.session.activations = 20;
+  app.session.releases.lockstep = false;
+  app.session.releases.activations = 20;
   const auto report = app.run();
   ASSERT_TRUE(report) << report.error().to_string();
   ASSERT_EQ(report->account.chains.size(), 2u);
@@ -269,7 +269,7 @@ TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {
 TEST(Engine, AnXpuOfTheAppsOwnIsSuspendedByItsCallbacks) {
   TestApp app;
   app.session.platform.xpus[1].preemptive = true;
-  app.session.activations = 20;
+  app.session.releases.activations = 20;
   std::atomic<int> running{0}, suspends{0}, resumes{0}, out_of_place{0};
   std::atomic<bool> away{false};
   app.handle = [&] {
@@ -371,7 +371,7 @@ TEST(Engine, ObjectsGoWhenARunIsStoppedEarly) {
   Fates fates;
   TestApp app;
   app.object = objects_with(fates);
-  app.session.activations = 0;  // for ever
+  app.session.releases.activations = 0;  // for ever
   std::atomic<bool> reached{false};
   app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
     if (node == "c1" && k == 7) reached = true;

@@ -55,8 +55,8 @@ std::uint64_t too_late(const RunReport& report) {
 
 TEST(Pushed, EveryPublishIsAReleaseWithItsNumberAndTheTimeOfTheCall) {
   PushedApp app;
-  app.session.lockstep = false;
-  app.session.activations = 5;
+  app.session.releases.lockstep = false;
+  app.session.releases.activations = 5;
   app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
   std::vector<std::int64_t> before, after;
   app.driver = [&] {
@@ -105,9 +105,9 @@ class PushedByKeys : public PushedApp {
     session.keys->placements = {{0, {5'000}}, {0, {5'000}}};
     session.policy.placements = {{0, 2}, {0, 1}};
     session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 256};
-    session.lockstep = false;
-    session.activations = 0;
-    session.duration_us = 300'000;
+    session.releases.lockstep = false;
+    session.releases.activations = 0;
+    session.releases.duration_us = 300'000;
   }
   /// Publishes every `us` from now on, until the run is over.
   void publish_every(std::chrono::microseconds us) {
@@ -147,7 +147,7 @@ TEST(Pushed, WhoIsTooFastHurriesNobodyOnItsClock) {
 
 TEST(Pushed, InLockstepMessagesWaitTheirTurnAndNothingIsLost) {
   PushedApp app;
-  app.session.activations = 100;
+  app.session.releases.activations = 100;
   app.driver = [&] {
     for (int k = 0; k < 100; ++k) EXPECT_TRUE(app.camera->publish(k));
   };
@@ -161,9 +161,9 @@ TEST(Pushed, InLockstepMessagesWaitTheirTurnAndNothingIsLost) {
 /// Of several rates: polled releases are not late by what is pushed before them, and both drain.
 TEST(Pushed, InLockstepPolledReleasesComeWhenTheyAreSaidTo) {
   PushedByKeys app;
-  app.session.lockstep = true;
-  app.session.duration_us = 0;
-  app.session.activations = 4;
+  app.session.releases.lockstep = true;
+  app.session.releases.duration_us = 0;
+  app.session.releases.activations = 4;
   std::atomic<int> inside{0}, most{0};
   app.exec = [&](const std::string&, std::uint64_t) -> Status {
     most = std::max(most.load(), ++inside);
@@ -192,7 +192,7 @@ TEST(Pushed, InLockstepPolledReleasesComeWhenTheyAreSaidTo) {
 
 TEST(Pushed, WhatComesTooEarlyIsReleasedAndCounted) {
   PushedApp app(1h);
-  app.session.activations = 4;
+  app.session.releases.activations = 4;
   app.driver = [&] {
     for (int k = 0; k < 4; ++k) EXPECT_TRUE(app.camera->publish(k));
   };
@@ -211,7 +211,7 @@ TEST(Pushed, OutsideOfARunAMessageIsAnErrorAndIsNotKept) {
   ASSERT_FALSE(before);
   EXPECT_EQ(before.error().code, ErrorCode::kUnavailable);
   EXPECT_EQ(before.error().where, "topic 'camera'");
-  app.session.activations = 2;
+  app.session.releases.activations = 2;
   app.driver = [&] {
     for (int k = 0; k < 2; ++k) EXPECT_TRUE(app.camera->publish(k));
   };
@@ -243,8 +243,8 @@ TEST(Pushed, BesideAPolledSourceBothReleaseOnTheirOwn) {
          return std::make_shared<const int>(static_cast<int>(k));
        }});
   app.spec.modules[1]->inputs = {*detail::topic_spec(slow)};  // B
-  app.session.lockstep = false;
-  app.session.activations = 5;  // of the polled one
+  app.session.releases.lockstep = false;
+  app.session.releases.activations = 5;  // of the polled one
   app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
   int published = 0;
   app.driver = [&] {
@@ -266,7 +266,7 @@ TEST(Pushed, BesideAPolledSourceBothReleaseOnTheirOwn) {
 
 TEST(Pushed, AStopEndsARunThatNobodyPublishesInto) {
   PushedApp app;
-  app.session.activations = 0;
+  app.session.releases.activations = 0;
   std::atomic<bool> begun{false};
   app.spec.on_start.emplace_back([&] { begun = true; });
   app.stop_when = &begun;

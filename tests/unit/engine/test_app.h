@@ -62,9 +62,9 @@ class TestApp {
     session.platform.name = "test";
     session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
     session.app.name = "test";
-    session.cpu_sched = CpuSched::kOther;
-    session.activations = 50;
-    session.lockstep = true;
+    session.cpu.sched = CpuSched::kOther;
+    session.releases.activations = 50;
+    session.releases.lockstep = true;
   }
 
   /// Called in every exec, with the XNode's name and the activation's number.

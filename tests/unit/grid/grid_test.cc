@@ -100,9 +100,9 @@ TEST(Grid, IsAppJsonsWhereTheProgramSaysOtherwise) {
 
 TEST(Grid, RefusesWhatWouldNotBeThePlan) {
   Example example;
-  example.session.period_us = 1000;
+  example.session.releases.period_us = 1000;
   EXPECT_NE(example.refusal().find("would change what the policy was made for"), std::string::npos);
-  example.session.period_us = 0;
+  example.session.releases.period_us = 0;
   example.session.app.modules[1].max_in_flight = 2;
   EXPECT_NE(example.refusal().find("XModule 'B' has max_in_flight 2"), std::string::npos);
   example.session.app.modules[1].max_in_flight = 1;
@@ -141,7 +141,7 @@ TEST(Grid, WithoutRatesAllReleaseAtTheProgramsLongestPeriod) {
   for (const Grid::Source& source : grid->sources)
     EXPECT_NEAR(static_cast<double>(source.period_ns()), 1000.0 * static_cast<double>(longest),
                 1000);
-  example.session.period_us = 7;
+  example.session.releases.period_us = 7;
   EXPECT_EQ(example.grid()->sources[0].due_ns(2), 14'000);
 }
 

@@ -59,7 +59,7 @@ TEST(CpuKeeper, SaysWhoKeepsTheOrderOnRealCpus) {
   const int highest = rt::highest_fifo();
   const bool levels = highest >= 6;  // those of a core that follows keys, and those above
   const auto keeper = [&](CpuSched asked) {
-    session.cpu_sched = asked;
+    session.cpu.sched = asked;
     decide_cpu_by_keys(session);
     return cpu_keeper(session);
   };
@@ -68,11 +68,11 @@ TEST(CpuKeeper, SaysWhoKeepsTheOrderOnRealCpus) {
   EXPECT_EQ(keeper(CpuSched::kOther), "nobody");
   session.keys.emplace();
   EXPECT_EQ(keeper(CpuSched::kExt), "sched_ext");
-  EXPECT_FALSE(session.cpu_by_keys) << "the kernel orders by keys itself";
+  EXPECT_FALSE(session.cpu.by_keys) << "the kernel orders by keys itself";
   EXPECT_EQ(keeper(CpuSched::kFifo), levels ? "SCHED_FIFO, told by coordinators" : "nobody");
-  EXPECT_EQ(session.cpu_by_keys, levels);
+  EXPECT_EQ(session.cpu.by_keys, levels);
   EXPECT_EQ(keeper(CpuSched::kOther), "nobody");
-  EXPECT_FALSE(session.cpu_by_keys);
+  EXPECT_FALSE(session.cpu.by_keys);
 }
 
 TEST(CpuKeeper, SaysNothingWhereThereIsNoOrderToKeep) {

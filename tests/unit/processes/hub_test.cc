@@ -38,8 +38,8 @@ class HubTest : public ::testing::Test {
  protected:
   HubTest() {
     static std::atomic<int> count{0};
-    session_.hub = "xauto-test/" + std::to_string(getpid()) + "-" +
-                   std::to_string(count.fetch_add(1)) + "/hub";
+    session_.parts.hub = "xauto-test/" + std::to_string(getpid()) + "-" +
+                         std::to_string(count.fetch_add(1)) + "/hub";
     graph_.name = "two";
     graph_.modules.resize(2);
     plan_.processes = 2;
@@ -48,7 +48,7 @@ class HubTest : public ::testing::Test {
     EXPECT_TRUE(hub) << hub.error().to_string();
     hub_ = std::move(*hub);
     member_session_ = session_;
-    member_session_.process = 1;
+    member_session_.parts.process = 1;
   }
   std::unique_ptr<Member> join() {
     auto member = Member::join(plan_, graph_, member_session_, 0);
@@ -63,7 +63,7 @@ class HubTest : public ::testing::Test {
     hub.join();
     return member;
   }
-  UniqueFd stranger() { return *connect_abstract(session_.hub); }
+  UniqueFd stranger() { return *connect_abstract(session_.parts.hub); }
   static void expect_cut_off(int socket) {
     char byte;
     pollfd ended{socket, POLLIN, 0};
@@ -131,14 +131,14 @@ TEST(Hub, AMemberThatDoesNotReadKeepsNobodyWaiting) {
     plan.topics.push_back({.publisher = 1, .readers = {2}});
   }
   Session session;
-  session.hub = "xauto-test/" + std::to_string(getpid()) + "-wide/hub";
+  session.parts.hub = "xauto-test/" + std::to_string(getpid()) + "-wide/hub";
   Host host;
   auto hub = Hub::create(plan, graph, session, 0, host);
   ASSERT_TRUE(hub) << hub.error().to_string();
-  const auto deaf = connect_abstract(session.hub);
+  const auto deaf = connect_abstract(session.parts.hub);
   ASSERT_TRUE(say(deaf->get(), Word::kHello, 1));
   Session second = session;
-  second.process = 2;
+  second.parts.process = 2;
   const auto member = Member::join(plan, graph, second, 0);  // is told of all topics meanwhile
   EXPECT_TRUE(member) << member.error().to_string();
   // Who reads late has missed nothing.

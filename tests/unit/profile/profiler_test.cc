@@ -28,8 +28,8 @@ TEST(Profiler, AnObjectPerXpuInstanceIsMadeAndGoesOnTheThreadThatMeasures) {
     return object;
   };
   app.session.mode = Mode::kProfile;
-  app.session.warmup = 1;
-  app.session.repetitions = 2;
+  app.session.profile.warmup = 1;
+  app.session.profile.repetitions = 2;
   const std::atomic<bool> stop{false};
   const auto profiled = profile(app.spec, app.session, stop);
   ASSERT_TRUE(profiled) << profiled.error().to_string();
@@ -56,8 +56,8 @@ TEST(Profiler, TakesWhatADriverPublishes) {
   });
   app.spec.on_stop.emplace_back([&] { driver.join(); });
   app.session.mode = Mode::kProfile;
-  app.session.warmup = 1;
-  app.session.repetitions = 3;
+  app.session.profile.warmup = 1;
+  app.session.profile.repetitions = 3;
   const std::atomic<bool> stop{false};
   const auto profiled = profile(app.spec, app.session, stop);
   ASSERT_TRUE(profiled) << profiled.error().to_string();

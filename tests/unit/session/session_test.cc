@@ -62,22 +62,22 @@ Session full() {
   Session session = at_rest();
   session.mode = Mode::kProfile;
   session.scheduling = Scheduling::kTimeshare;
-  session.cpu_sched = CpuSched::kExt;
-  session.cpu_run = "run";
-  session.cpu_first_xnode = 7;
-  session.cpu_partial = true;
+  session.cpu.sched = CpuSched::kExt;
+  session.cpu.run = "run";
+  session.cpu.first_xnode = 7;
+  session.cpu.partial = true;
   session.presence = {Presence::kEither};
   session.coordinators = {{"cpu0", "socket"}};
-  session.activations = 5;
-  session.duration_us = std::int64_t{1} << 40;
-  session.record = "a \"b\".db3";
-  session.hub_fd = -1;
-  session.contended = session.audit = true;
-  session.machine_root = "/host";
-  session.load_xpu = 0;
-  session.load_cores = {0, 3};
+  session.releases.activations = 5;
+  session.releases.duration_us = std::int64_t{1} << 40;
+  session.releases.record = "a \"b\".db3";
+  session.parts.hub_fd = -1;
+  session.profile.contended = session.profile.audit = true;
+  session.profile.machine_root = "/host";
+  session.load.xpu = 0;
+  session.load.cores = {0, 3};
   session.trace_keep_s = 0.25;
-  session.processes = {{"A"}, {}, {"B", "C"}};
+  session.parts.modules = {{"A"}, {}, {"B", "C"}};
   return session;
 }
 
@@ -88,38 +88,40 @@ TEST(Session, EachFieldTravels) {
   EXPECT_EQ(*to_json(*read), *to_json(session));
   EXPECT_EQ(read->presence, session.presence);
   EXPECT_EQ(read->coordinators, session.coordinators);
-  EXPECT_EQ(read->processes, session.processes);
-  EXPECT_EQ(read->duration_us, session.duration_us);
-  EXPECT_EQ(read->record, session.record);
-  EXPECT_EQ(read->cpu_sched, CpuSched::kExt);
-  EXPECT_TRUE(read->contended && read->audit);
-  EXPECT_EQ(read->machine_root, "/host");
-  EXPECT_EQ(read->load_cores, session.load_cores);
+  EXPECT_EQ(read->parts.modules, session.parts.modules);
+  EXPECT_EQ(read->releases.duration_us, session.releases.duration_us);
+  EXPECT_EQ(read->releases.record, session.releases.record);
+  EXPECT_EQ(read->cpu.sched, CpuSched::kExt);
+  EXPECT_TRUE(read->profile.contended && read->profile.audit);
+  EXPECT_EQ(read->profile.machine_root, "/host");
+  EXPECT_EQ(read->load.cores, session.load.cores);
 }
 
 TEST(Session, ALoadIsOfAnXpuAndOnCores) {
   Session session = full();
   session.mode = Mode::kLoad;
   EXPECT_TRUE(parse_session(*to_json(session)));
-  session.load_xpu = static_cast<int>(session.platform.xpus.size());
+  session.load.xpu = static_cast<int>(session.platform.xpus.size());
   EXPECT_FALSE(parse_session(*to_json(session)));
-  session.load_xpu = -1;
+  session.load.xpu = -1;
   EXPECT_FALSE(parse_session(*to_json(session)));
-  session.load_xpu = 0;
-  session.load_cores = {};
+  session.load.xpu = 0;
+  session.load.cores = {};
   EXPECT_FALSE(parse_session(*to_json(session)));
 }
 
 TEST(Session, APathThatJsonWouldChangeIsRefused) {
   Session session = full();
-  session.record = "/tmp/\xff";
+  session.releases.record = "/tmp/\xff";
   const auto text = to_json(session);
   ASSERT_FALSE(text);
-  EXPECT_EQ(text.error().where, session.record);
+  EXPECT_EQ(text.error().where, session.releases.record);
 }
 
 /// `text` with the value of one member, a number or a word, changed.
-std::string with(std::string text, const std::string& name, const std::string& value) {
+/// `field`: "b", or "a.b", whose name is nowhere else.
+std::string with(std::string text, const std::string& field, const std::string& value) {
+  const std::string name = field.substr(field.find('.') + 1);
   const std::size_t begin = text.find("\"" + name + "\":") + name.size() + 3;
   return text.replace(begin, text.find_first_of(",}", begin) - begin, value);
 }
@@ -130,20 +132,20 @@ TEST(Session, WhatIsNotAsWrittenIsNamed) {
        std::vector<std::pair<std::string, std::string>>{{"mode", "4"},
                                                         {"mode", "-1"},
                                                         {"scheduling", "3"},
-                                                        {"cpu_sched", "3"},
-                                                        {"cpu_first_xnode", "4294967296"},
-                                                        {"cpu_first_xnode", "-1"},
-                                                        {"cpu_scheduler_pid", "2147483648"},
-                                                        {"cpu_partial", "1"},
-                                                        {"lockstep", "null"},
-                                                        {"activations", "-1"},
-                                                        {"activations", "1.5"},
+                                                        {"cpu.sched", "3"},
+                                                        {"cpu.first_xnode", "4294967296"},
+                                                        {"cpu.first_xnode", "-1"},
+                                                        {"cpu.scheduler_pid", "2147483648"},
+                                                        {"cpu.partial", "1"},
+                                                        {"releases.lockstep", "null"},
+                                                        {"releases.activations", "-1"},
+                                                        {"releases.activations", "1.5"},
                                                         {"trace_keep_s", "\"1\""},
-                                                        {"hub", "1"},
-                                                        {"hub_fd", "{}"}}) {
+                                                        {"parts.hub", "1"},
+                                                        {"parts.hub_fd", "{}"}}) {
     const auto read = parse_session(with(text, field, value));
     ASSERT_FALSE(read) << field << " " << value;
-    EXPECT_EQ(read.error().what, "malformed session: " + field) << value;
+    EXPECT_EQ(read.error().what, "malformed session: " + field.substr(0, field.find('.'))) << value;
   }
   EXPECT_FALSE(parse_session(with(text, "version", "2")));
   EXPECT_FALSE(parse_session("{}"));
