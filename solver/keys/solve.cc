@@ -12,6 +12,7 @@
 #include "solver/keys/lower_bounds.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/search.h"
+#include "solver/keys/typical.h"
 #include "solver/keys/unpackable.h"
 #include "solver/threads.h"
 
@@ -30,6 +31,9 @@ constexpr double kForChains =
     0.5;  ///< part of it: for those of chains, before those of all together
 /// Before them, for holds that are not needed; so many seconds at least, even of a limit of 0.
 constexpr double kForHolds = 0.05, kForHoldsS = 0.5, kForHoldsAtLeastS = 0.05;
+/// Before that, for the least typical latency: a part of the limit, and so many evaluations more as a part of those of
+/// the search.
+constexpr double kForTypical = 0.1;
 /// Beyond the limit, to finish what was begun: a part of it. At least the seconds: even a limit of
 /// 0 has an answer where the app is small.
 constexpr double kToFinish = 0.1, kToFinishS = 0.2;
@@ -327,6 +331,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
                     limit - std::min(kForFinerBounds * limit, kForFinerBoundsS) -
                     std::min(kForHolds * limit, kForHoldsS))));
 
+  const Until for_typical = for_search;
+  if (limit < kNoLimitS && !app.one_at_a_time)
+    for_search.deadline =
+        std::max(for_bounds.deadline, later(for_search.deadline, -kForTypical * limit));
+
   Until for_least = until;
   if (limit < kNoLimitS) {
     const TimePoint from = std::min(for_search.deadline, std::chrono::steady_clock::now());
@@ -411,6 +420,14 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   answer.evaluations = round.evaluations;
   const Problem& of = seed == nullptr ? p : seed->problem;
   Candidate best = found.best();
+  if (found.any() && !app.one_at_a_time) {
+    SearchLimits last{for_typical, to_finish, options.max_evaluations, {}, {}};
+    if (options.max_evaluations > 0)
+      last.max_evaluations = std::max<std::int64_t>(
+          1, static_cast<std::int64_t>(kForTypical * static_cast<double>(options.max_evaluations)));
+    const Keep keep = seed != nullptr ? Keep::kPlacement : options.keep;
+    least_typical(app, of, options.seed, keep, last, best);
+  }
   if (found.any()) {
     Until for_holds{std::max(for_search.deadline, std::chrono::steady_clock::now())};
     if (limit < kNoLimitS)
