@@ -522,6 +522,27 @@ bool Search::change_window(const Candidate& from, Decision& next, int i) {
   return window != before;
 }
 
+/// One that samples begins later, so as to read something newer: or no longer.
+bool Search::change_reader(const Candidate& from, Decision& next) {
+  const int v = readers_[random_.below(readers_.size())];
+  if (evaluator_.may_be_late(v) && random_.unit() < kLate) {
+    next.late[at(v)] = next.late[at(v)] == 0 ? 1 : 0;
+    return true;
+  }
+  Tick& hold = next.hold[at(v)];
+  if (hold > 0 && random_.unit() < kUnhold) {
+    hold = 0;
+    return true;
+  }
+  const Tick before = hold;
+  if (!from.figures.valid) return false;
+  const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];
+  hold = start +
+         static_cast<Tick>(random_.unit() * random_.unit() * static_cast<double>(p_.period_of(v)));
+  hold = hold / p_.scale * p_.scale;
+  return hold != before;
+}
+
 bool Search::mutate(const Candidate& from, Decision& next) {
   const double what = random_.unit();
   const int i = pick(from);
@@ -550,26 +571,7 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     next.held[at(i)] = 0;
     return true;
   }
-  if (what < kHoldBelow && !readers_.empty()) {
-    // Later, so as to read something newer: or no longer.
-    const int v = readers_[random_.below(readers_.size())];
-    if (evaluator_.may_be_late(v) && random_.unit() < kLate) {
-      next.late[at(v)] = next.late[at(v)] == 0 ? 1 : 0;
-      return true;
-    }
-    Tick& hold = next.hold[at(v)];
-    if (hold > 0 && random_.unit() < kUnhold) {
-      hold = 0;
-      return true;
-    }
-    const Tick before = hold;
-    if (!from.figures.valid) return false;
-    const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];
-    hold = start + static_cast<Tick>(random_.unit() * random_.unit() *
-                                     static_cast<double>(p_.period_of(v)));
-    hold = hold / p_.scale * p_.scale;
-    return hold != before;
-  }
+  if (what < kHoldBelow && !readers_.empty()) return change_reader(from, next);
   if (what < kPoliteBelow) {
     const int m = next.xpu[at(i)];
     if (p_.preemptive[at(m)] == 0 || (p_.preempt[at(m)] == 0 && p_.levels[at(m)] == kAnyLevels))

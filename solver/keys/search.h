@@ -149,6 +149,7 @@ class Search {
               const std::function<void(const Candidate&)>& on_better);
   void keep(const Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] bool change_reader(const Candidate& from, Decision& next);
   [[nodiscard]] bool mutate(const Candidate& from, Decision& next);
   void put(Decision& d, int xnode, int xpu) const;
   [[nodiscard]] int pick(const Candidate& from);
