@@ -91,6 +91,19 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
                     (p_.root[at(i)] != 0 ||
                      std::any_of(p_.pred[at(i)].begin(), p_.pred[at(i)].end(),
                                  [&](const EdgeEnd& l) { return p_.urgent[at(l.xnode)] == 0; }));
+  feeds_.resize(at(p_.num_xnodes));
+  for (int v = 0; v < p_.num_xnodes; ++v) {
+    if (p_.reads[at(v)] == 0) continue;
+    const auto hears = [&](int i) { return i == v || p_.before(v, i); };
+    bool ends = std::any_of(p_.chains.begin(), p_.chains.end(),
+                            [&](const Chain& chain) { return hears(chain.to); });
+    for (const auto& [u, r] : p_.samples) {
+      if (!hears(u)) continue;
+      ends = ends || p_.domain_of(r) != p_.domain_of(v);
+      feeds_[at(v)].emplace_back(u, r);
+    }
+    if (ends) feeds_[at(v)].clear();
+  }
   rule_.work.resize(at(p_.num_xnodes));
   rule_.delay.resize(at(p_.num_xnodes));
   rule_.cost.resize(at(p_.num_xpus));
@@ -197,13 +210,52 @@ void Evaluator::find_changes(const Decision& decision, const Figures& out) {
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const std::size_t x = at(i), m = at(decision.xpu[x]);
     if (decision.xpu[x] != base_->xpu[x] || decision.hold[x] != base_->hold[x] ||
-        decision.held[x] != base_->held[x] || shared_[m] != was_shared_[m] ||
+        decision.late[x] != base_->late[x] || decision.held[x] != base_->held[x] ||
+        shared_[m] != was_shared_[m] ||
         (shared_[m] != 0
              ? decision.window[x] != base_->window[x]
              : decision.key[x] != base_->key[x] || decision.polite[x] != base_->polite[x] ||
                    out.pad[m] != base_figures_->pad[m]))
       changed_[at(p_.domain_of(i))] = 1;
   }
+}
+
+/// By how much all that comes of an activation may be later and is read by the same activations as now.
+Tick Evaluator::slack_behind(const Schedule& schedule, int v, int n) const {
+  const Component& c = p_.components[at(p_.component_of[at(v)])];
+  Tick slack = kForever;
+  for (const auto& [u, r] : feeds_[at(v)]) {
+    const Component& of = p_.components[at(p_.component_of[at(r)])];
+    const Tick end = c.phase + n * c.period + schedule.finish[p_.slot_of(u, n)];
+    const auto starts = [&](std::int64_t m) {
+      return of.phase + m * of.period + schedule.start[p_.slot_of(r, m)] / p_.scale * p_.scale;
+    };
+    std::int64_t m = floor_div(end - of.phase, of.period);
+    while (starts(m - 1) >= end) --m;
+    while (starts(m) < end) ++m;
+    slack = std::min(slack, starts(m) - end);
+  }
+  return slack;
+}
+
+/// The schedule of one domain; then with those held that begin late.
+bool Evaluator::exhibit(int domain, const Decision& decision, Figures& out, const Until& until) {
+  Exhibitor& exhibitor = exhibitors_[at(domain)];
+  if (!exhibitor.run(domain, rule_, out.schedule, until)) return false;
+  std::vector<std::pair<std::size_t, Tick>> before;
+  for (const int v : p_.domains[at(domain)].xnodes) {
+    if (decision.late[at(v)] == 0) continue;
+    for (int n = 0; n < p_.jobs[at(v)]; ++n) {
+      const std::size_t s = at(p_.slot[at(v)] + n);
+      const Tick slack = slack_behind(out.schedule, v, n) / p_.scale * p_.scale;
+      if (slack <= 0) continue;
+      before.emplace_back(s, rule_.hold[s]);
+      rule_.hold[s] = out.schedule.start[s] / p_.scale * p_.scale + slack;
+    }
+  }
+  const bool repeats = before.empty() || exhibitor.run(domain, rule_, out.schedule, until);
+  for (const auto& [s, hold] : before) rule_.hold[s] = hold;
+  return repeats;
 }
 
 /// The schedules, and the windows that follow.
@@ -227,7 +279,7 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
           std::copy(from.finish.begin() + first, from.finish.begin() + last,
                     out.schedule.finish.begin() + first);
         }
-      } else if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
+      } else if (!exhibit(static_cast<int>(d), decision, out, until)) {
         const double growth = exhibitors_[d].growth();
         out.cost = kEndless * kInvalidCost * (1 + kGrowthShare * growth / (growth + p_.num_slots));
         return false;

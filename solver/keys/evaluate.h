@@ -34,6 +34,8 @@ struct Decision {
   std::vector<char> held;              ///< [xnode] as it is given, too
   std::vector<Tick> window;            ///< [xnode] on a shared XPU: d - a, whole microseconds
   std::vector<char> polite;            ///< [xnode] in the plan it interrupts nobody
+  /// [xnode] it begins as late as those may that hear of it and are sampled in its domain: it reads what is newer.
+  std::vector<char> late;
 };
 
 struct Figures {
@@ -82,6 +84,8 @@ class Evaluator {
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// [chain] XNodes that its end waits for, on any of its ways.
   [[nodiscard]] const std::vector<std::vector<int>>& chain_xnodes() const { return chain_xnodes_; }
+  /// Whether Decision::late has a meaning for it.
+  [[nodiscard]] bool may_be_late(int xnode) const { return !feeds_[at(xnode)].empty(); }
   /// Keys and holds as `out.w` has them, for what they are: nothing is simulated. Valid if they are certified.
   void take(const Decision& decision, Figures& out, const Until& until = {});
   /// Simulates again with the keys of `out`. True if that was better, and `out` changed.
@@ -90,6 +94,8 @@ class Evaluator {
  private:
   bool simulate(const Decision& decision, const Figures* keys, Figures& out, const Until& until);
   bool plan(const Decision& decision, Figures& out, const Until& until);
+  bool exhibit(int domain, const Decision& decision, Figures& out, const Until& until);
+  [[nodiscard]] Tick slack_behind(const Schedule& schedule, int xnode, int activation) const;
   void find_changes(const Decision& decision, const Figures& out);
   bool serves(const Decision& decision, Figures& out, const Until& until);
   [[nodiscard]] bool as_before(const Decision& decision, int xpu, const Figures& out) const;
@@ -108,6 +114,8 @@ class Evaluator {
   Windows urgent_;                              ///< of the candidate, in urgent releases
   Charges charges_;
   std::vector<char> shared_, was_shared_;  ///< [xpu]
+  std::vector<std::vector<std::pair<int, int>>>
+      feeds_;  ///< [xnode] samples of its domain, of what hears of it; empty: late is not possible
   std::vector<char> rigid_;  ///< [xnode] urgent, after what is not: its window cannot move forward
   std::vector<char> changed_;  ///< [domain] its schedule is not that of the base
   const Decision* base_ = nullptr;

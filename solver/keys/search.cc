@@ -57,6 +57,7 @@ constexpr double kExchangeBelow = 0.42;  ///< of XPUs between two XNodes
 constexpr double kHoldBelow = 0.50;      ///< of an XNode that samples: later, or none
 constexpr double kPoliteBelow = 0.56;    ///< whether it interrupts others in the plan
 constexpr double kOnCritical = 0.6;      ///< of moves: an XNode of the chain that sets the cost
+constexpr double kLate = 0.5;            ///< of moves of a hold: Decision::late, where that may be
 constexpr double kUnhold = 0.5;          ///< of moves of a hold: none, where there is one
 constexpr double kOneMove = 0.75;        ///< of candidates: one move, not two
 
@@ -300,6 +301,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   d.xpu.assign(at(p_.num_xnodes), -1);
   d.hold.assign(at(p_.num_xnodes), 0);
   d.held.assign(at(p_.num_xnodes), 0);
+  d.late.assign(at(p_.num_xnodes), 0);
   d.polite.assign(at(p_.num_xnodes), charge ? 0 : 1);
   const std::vector<Tick> least = least_wcets(p_);
   std::vector<int> order(at(p_.num_xnodes));
@@ -520,6 +522,27 @@ bool Search::change_window(const Candidate& from, Decision& next, int i) {
   return window != before;
 }
 
+/// One that samples begins later, so as to read something newer: or no longer.
+bool Search::change_reader(const Candidate& from, Decision& next) {
+  const int v = readers_[random_.below(readers_.size())];
+  if (evaluator_.may_be_late(v) && random_.unit() < kLate) {
+    next.late[at(v)] = next.late[at(v)] == 0 ? 1 : 0;
+    return true;
+  }
+  Tick& hold = next.hold[at(v)];
+  if (hold > 0 && random_.unit() < kUnhold) {
+    hold = 0;
+    return true;
+  }
+  const Tick before = hold;
+  if (!from.figures.valid) return false;
+  const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];
+  hold = start +
+         static_cast<Tick>(random_.unit() * random_.unit() * static_cast<double>(p_.period_of(v)));
+  hold = hold / p_.scale * p_.scale;
+  return hold != before;
+}
+
 bool Search::mutate(const Candidate& from, Decision& next) {
   const double what = random_.unit();
   const int i = pick(from);
@@ -548,22 +571,7 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     next.held[at(i)] = 0;
     return true;
   }
-  if (what < kHoldBelow && !readers_.empty()) {
-    // Later, so as to read something newer: or no longer.
-    const int v = readers_[random_.below(readers_.size())];
-    Tick& hold = next.hold[at(v)];
-    if (hold > 0 && random_.unit() < kUnhold) {
-      hold = 0;
-      return true;
-    }
-    const Tick before = hold;
-    if (!from.figures.valid) return false;
-    const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];
-    hold = start + static_cast<Tick>(random_.unit() * random_.unit() *
-                                     static_cast<double>(p_.period_of(v)));
-    hold = hold / p_.scale * p_.scale;
-    return hold != before;
-  }
+  if (what < kHoldBelow && !readers_.empty()) return change_reader(from, next);
   if (what < kPoliteBelow) {
     const int m = next.xpu[at(i)];
     if (p_.preemptive[at(m)] == 0 || (p_.preempt[at(m)] == 0 && p_.levels[at(m)] == kAnyLevels))

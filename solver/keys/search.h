@@ -17,6 +17,8 @@
 
 namespace xauto::solver::keys {
 
+class TypicalPlay;
+
 struct Candidate {
   Decision decision;
   Figures figures;
@@ -93,6 +95,9 @@ class Search {
   /// Constructs, then anneals from the best until the limits. `hint` may be null.
   void run(const SearchLimits& limits, const Policy* hint, Keep keep,
            const std::function<void(const Candidate&)>& on_better);
+  /// Candidates beside `best`, which is certified, that claim no more of any chain: that with the least
+  /// typical latency, without holds that are not needed.
+  void least_typical(TypicalPlay& play, const SearchLimits& limits, Keep keep, Candidate& best);
   [[nodiscard]] const Incumbents& found() const { return found_; }
   [[nodiscard]] std::int64_t evaluations() const { return evaluator_.evaluations(); }
 
@@ -102,6 +107,7 @@ class Search {
   void begin_with(const Policy& hint, const std::function<void(const Candidate&)>& on_better);
   /// A decision from a policy's placements, its latest keys in ticks. Whoever has none is constructed.
   [[nodiscard]] Decision from_hint(const Policy& hint);
+  [[nodiscard]] double typical_of(TypicalPlay& play, const Candidate& candidate, Windows& w) const;
   [[nodiscard]] bool over() const;
   /// Whether the least of the largest has been looked for long enough.
   [[nodiscard]] bool may_sum() const;
@@ -143,6 +149,7 @@ class Search {
               const std::function<void(const Candidate&)>& on_better);
   void keep(const Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] bool change_reader(const Candidate& from, Decision& next);
   [[nodiscard]] bool mutate(const Candidate& from, Decision& next);
   void put(Decision& d, int xnode, int xpu) const;
   [[nodiscard]] int pick(const Candidate& from);
@@ -161,6 +168,7 @@ class Search {
   Line line_;                  ///< the best of them; without an order there is none
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;
+
   std::vector<char> shared_;  ///< [xpu] of the annealer's state
 };
 

@@ -36,6 +36,7 @@ void Search::decide(Line& line) const {
   d.key = lines_->key();
   d.hold = line.hold;
   d.held.assign(at(p_.num_xnodes), 0);
+  d.late.assign(at(p_.num_xnodes), 0);
   d.polite.assign(at(p_.num_xnodes), 0);
   for (int i = 0; i < p_.num_xnodes && !line.interrupts; ++i) {
     const std::size_t m = at(d.xpu[at(i)]);

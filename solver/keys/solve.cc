@@ -12,6 +12,7 @@
 #include "solver/keys/lower_bounds.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/search.h"
+#include "solver/keys/typical.h"
 #include "solver/keys/unpackable.h"
 #include "solver/threads.h"
 
@@ -30,6 +31,9 @@ constexpr double kForChains =
     0.5;  ///< part of it: for those of chains, before those of all together
 /// Before them, for holds that are not needed; so many seconds at least, even of a limit of 0.
 constexpr double kForHolds = 0.05, kForHoldsS = 0.5, kForHoldsAtLeastS = 0.05;
+/// Before that, for the least typical latency: a part of the limit, and so many evaluations more as a part of those of
+/// the search.
+constexpr double kForTypical = 0.1;
 /// Beyond the limit, to finish what was begun: a part of it. At least the seconds: even a limit of
 /// 0 has an answer where the app is small.
 constexpr double kToFinish = 0.1, kToFinishS = 0.2;
@@ -273,11 +277,12 @@ struct Round {
 
 /// What ends when, of the time limit.
 struct Times {
-  Times(const Options& options, TimePoint began)
+  Times(const AppSpec& app, const Options& options, TimePoint began)
       : limit_s(std::clamp(options.time_limit_s, 0.0, kNoLimitS)),
         all{later(began, limit_s), options.stop},
         first_bounds(all),
         search(all),
+        typical(all),
         finish(all) {
     first_bounds.deadline = std::min(all.deadline, later(began, limit_s * kForFirstBounds));
     if (!limited()) return;
@@ -287,6 +292,10 @@ struct Times {
                  later(began, limit_s - std::min(kForFinerBounds * limit_s, kForFinerBoundsS) -
                                   std::min(kForHolds * limit_s, kForHoldsS)));
     finish.deadline = later(finish.deadline, std::max(kToFinish * limit_s, kToFinishS));
+    typical.deadline = search.deadline;
+    if (!app.one_at_a_time)
+      search.deadline =
+          std::max(first_bounds.deadline, later(search.deadline, -kForTypical * limit_s));
   }
   [[nodiscard]] bool limited() const { return limit_s < kNoLimitS; }
   /// For what limits the other chains, of what is left for the search.
@@ -307,7 +316,7 @@ struct Times {
   }
 
   double limit_s;
-  Until all, first_bounds, search, finish;
+  Until all, first_bounds, search, typical, finish;
 };
 
 /// One call of `solve`, from the first bounds on.
@@ -319,7 +328,7 @@ class Solving {
         platform_(platform),
         options_(options),
         began_(began),
-        times_(options, began),
+        times_(app, options, began),
         p_(std::move(problem)),
         round_{options, [this] { return elapsed_s(); }} {}
 
@@ -346,6 +355,7 @@ class Solving {
     std::optional<Candidate> best;
     if (found.any()) {
       best = found.best();
+      if (!app_.one_at_a_time) make_typical_days_short(*best);
       drop_holds(of(), best->decision.xpu, best->figures.w, times_.holds());
     }
     tell_bounds(found, shortest);
@@ -425,6 +435,17 @@ class Solving {
     for (const Candidate* one : {&free.least(), &free.best()})
       if (found.add(*one)) seed_ = nullptr;
     return found;
+  }
+
+  /// Claims stay as they are.
+  void make_typical_days_short(Candidate& best) {
+    SearchLimits limits{times_.typical, times_.finish, options_.max_evaluations, {}, {}};
+    if (options_.max_evaluations > 0)
+      limits.max_evaluations = std::max<std::int64_t>(
+          1,
+          static_cast<std::int64_t>(kForTypical * static_cast<double>(options_.max_evaluations)));
+    const Keep keep = seed_ != nullptr ? Keep::kPlacement : options_.keep;
+    least_typical(app_, of(), options_.seed, keep, limits, best);
   }
 
   /// What is left of the time makes them better.

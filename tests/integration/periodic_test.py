@@ -250,9 +250,11 @@ class Periodic(unittest.TestCase):
         self.assertIn("objective: no deadline is missed; then the least of the largest worst case / deadline",
                       self.solve("--objective", "largest").stdout)
         self.assertIn("the largest of them within 5 % of the least found", self.solve().stdout)
+        self.assertIn("last, no claim being longer, the least typical latency", self.solve().stdout)
         self.assertIn("objective", self.solve("--objective", "shortest", status=2).stderr)
         one = self.run_tool("solve", "--app", str(SOURCE / "tests/golden/app.json"))
         self.assertIn("the least of the largest worst case", one.stdout, "no source has a rate")
+        self.assertNotIn("typical latency", one.stdout)
         for chain in self.app["chains"]:
             del chain["deadline_us"]
         self.assertEqual(json.loads(self.solve("--json").stdout)["objective"]["of"], "worst case")

@@ -143,6 +143,7 @@ std::string of_all_chains(const AppSpec& app, const keys::Answer& answer, keys::
     return is_optimal(value, bound) ? ": optimal" : "";
   };
   std::string out = "\n  objective: " + aim_of(app, answer, aim) + "\n";
+  if (!app.one_at_a_time) out += "    last, no claim being longer, the least typical latency\n";
   if (app.has_deadlines())
     return out + fmt::format(
                      "    largest  {:>9.1f} %   of no policy of keys less than {:.1f} %{}\n"
