@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cstring>
 
-#include <pwd.h>
 #include <sys/stat.h>
 
 #include "base/rt.h"
@@ -15,13 +14,13 @@ namespace xauto::runtime {
 namespace {
 
 /// Of the process whose number begins the run's name.
-std::string user_of(const std::string& run) {
+std::string uid_of(const std::string& run) {
   const std::string pid = run.substr(0, run.find('-'));
   if (pid.empty() || pid.find_first_not_of("0123456789") != std::string::npos) return {};
   struct stat status {};
   if (stat(("/proc/" + pid).c_str(), &status) != 0) return {};
-  const passwd* entry = getpwuid(status.st_uid);
-  return entry != nullptr ? entry->pw_name : "uid " + std::to_string(status.st_uid);
+  // Its name would be asked of services, in the app's process.
+  return std::to_string(status.st_uid);
 }
 
 }  // namespace
@@ -54,7 +53,7 @@ std::vector<std::string> marks_of(const Session& session) {
 }
 
 std::string Holder::words() const {
-  return "run " + run + (user.empty() ? "" : " of user " + user);
+  return "run " + run + (uid.empty() ? "" : " of uid " + uid);
 }
 
 std::string run_of_address(const std::string& address) {
@@ -72,7 +71,7 @@ std::vector<Holder> holders(const std::string& own) {
       continue;
     const std::string run =
         address.substr(std::strlen(kSocketPrefix), first - std::strlen(kSocketPrefix));
-    found.push_back({address.substr(last + 1 + std::strlen(kMark)), run, user_of(run)});
+    found.push_back({address.substr(last + 1 + std::strlen(kMark)), run, uid_of(run)});
   }
   return found;
 }

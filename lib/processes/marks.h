@@ -23,8 +23,8 @@ inline constexpr const char* kMark = "real:";
 [[nodiscard]] std::vector<std::string> marks_of(const Session& session);
 
 struct Holder {
-  std::string hardware, run, user;          ///< user: empty, if it is not known
-  [[nodiscard]] std::string words() const;  ///< "run 77-0 of user bob"
+  std::string hardware, run, uid;           ///< uid: empty, if it is not known
+  [[nodiscard]] std::string words() const;  ///< "run 77-0 of uid 1000"
 };
 /// Of all runs on this machine but those whose addresses begin with `own`, which may be empty.
 [[nodiscard]] std::vector<Holder> holders(const std::string& own);

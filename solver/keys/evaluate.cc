@@ -227,8 +227,8 @@ Tick Evaluator::slack_behind(const Schedule& schedule, int v, int n) const {
   for (const auto& [u, r] : feeds_[at(v)]) {
     const Component& of = p_.components[at(p_.component_of[at(r)])];
     const Tick end = c.phase + n * c.period + schedule.finish[p_.slot_of(u, n)];
-    const auto starts = [&](std::int64_t m) {
-      return of.phase + m * of.period + schedule.start[p_.slot_of(r, m)] / p_.scale * p_.scale;
+    const auto starts = [&, reader = r](std::int64_t m) {
+      return of.phase + m * of.period + schedule.start[p_.slot_of(reader, m)] / p_.scale * p_.scale;
     };
     std::int64_t m = floor_div(end - of.phase, of.period);
     while (starts(m - 1) >= end) --m;

@@ -53,7 +53,7 @@ class Contended(unittest.TestCase):
         worst = max(infer["on"]["gpu0"]["max_us"], *(on["gpu0"]["max_us"] for on in infer["beside"].values() if "gpu0" in on))
         self.assertEqual(wcet["camera.infer"]["gpu"], worst + -(-worst * 20 // 100))
         self.assertGreater(wcet["camera.infer"]["gpu"], nothing * 3)
-        for word in ("max beside a load of", "beside dla: emulated jobs", "max of all co-run classes"):
+        for word in ("max beside load of", "beside dla: emulated jobs", "max of all co-run classes"):
             self.assertIn(word, done.stdout)
         again = xauto("profile", "--platform", "small", "--read", "profile.json", cwd=self.folder)
         self.assertEqual(again.stdout, done.stdout)

@@ -72,19 +72,20 @@ class Machine(unittest.TestCase):
                                  stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         self.addCleanup(other.kill)
         wait_for("its mark", lambda: f"xauto/{other.pid}-0/" in (held := pathlib.Path("/proc/net/unix").read_text()) and "/real:core" in held, other)
-        self.assertRegex(xauto("doctor").stdout, rf"degraded +in use +.*run {other.pid}-0 of user \w+ has core\d")
+        self.assertRegex(" ".join(xauto("doctor").stdout.split()), rf"degraded in use .*run {other.pid}-0 of uid \d+ has core\d")
         run, out = self.run_app()
         self.assertGreater(self.count(run, "xpu_shared"), 0, run["claims"])
         self.assertRegex(" ".join(run["claims"]["broken"]),
-                         rf"cpu0 does not serve this app alone: run {other.pid}-0 of user \w+ has it, too")
+                         rf"cpu0 does not serve this app alone: run {other.pid}-0 of uid \d+ has it, too")
         self.assertIn(run["claims"]["verdict"], ("not claimed", "exceeded, not claimed"))
         self.assertNotIn(REPORT, out)
         _, said = other.communicate(timeout=60)
         self.assertEqual(other.returncode, 0, said)
         theirs = json.loads(pathlib.Path(second, "report.json").read_text())["runs"][0]
         self.assertGreater(self.count(theirs, "xpu_shared"), 0, theirs["claims"])
-        alone, _ = self.run_app()
-        self.assertEqual(self.count(alone, "xpu_shared"), 0)
+        # Whoever else is named is there: other tests may run beside this one.
+        words = " ".join(self.run_app()[0]["claims"]["broken"])
+        self.assertNotIn(f"run {other.pid}-0", words)
 
     def test_an_exec_changes_how_its_thread_is_scheduled(self):
         run, out = self.run_app("batch", "A", 3)

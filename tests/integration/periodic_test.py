@@ -319,7 +319,7 @@ class Periodic(unittest.TestCase):
         self.assertEqual({chain["name"]: chain["path"] for chain in self.check()["chains"]}, paths)
         words = self.run_tool("check", "--app", "app.json", "--policy", "policy.json").stdout
         for name, path in paths.items():
-            self.assertRegex(words, f"(?m)^  {re.escape(name)} .* {re.escape(' > '.join(path))}$")
+            self.assertRegex(" ".join(words.split()), rf" {re.escape(name)} [\d.]+ ms [\d.]+ ms along {re.escape(' > '.join(path))} ")
         moved = {move["change"].split(" on ")[0] for move in told["moves"]}
         brake = next(chain for chain in told["chains"] if chain["name"] == "brake")
         self.assertIn("fcd.infer", brake["path"])

@@ -331,7 +331,7 @@ class Report(unittest.TestCase):
                           answer.stdout, re.M)
         self.assertEqual([(name, int(n), us(of), us(median)) for name, n, of, median in took],
                          [(name, c["release"], c["reaction_us"], c["median_us"]) for name, c in told.items()])
-        rows = re.findall(r"^  (\S+) +(\d+)  (\S+) +([\d.]+) +([\d.]+) +([\d.]+) +- +-  ", answer.stdout, re.M)
+        rows = re.findall(r"^  (\S+) +(\d+)  (\S+) +([\d.]+) +([\d.]+) +([\d.]+) +- +-$", answer.stdout, re.M)
         self.assertEqual([(x, int(n), xpu, *map(us, times)) for x, n, xpu, *times in rows],
                          [(j["xnode"], j["release"], j["xpu"], j["ready_us"], j["began_us"], j["ended_us"])
                           for c in told.values() for j in c["jobs"]])

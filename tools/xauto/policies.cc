@@ -871,14 +871,15 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
   return status;
 }
 
-Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const std::string& path,
-                            const keys::PlayOptions& asked, const std::string& out,
-                            const Options& options) {
-  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
-  Outputs outputs;
-  XAUTO_TRY(outputs.expect("--out", out));
-  XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, asked));
-  Json xnodes = Json::array(), chains = Json::array();
+namespace {
+
+std::string worst_of(const std::optional<std::int64_t>& claimed_us) {
+  return claimed_us ? exact_ms(*claimed_us) : "-";
+}
+
+/// A row of the table and an element of `xnodes`.
+std::string tell_played(const AppSpec& app, const Platform& platform, const Policy& policy,
+                        const keys::PlayReport& played, Json& xnodes) {
   std::string table =
       row_of("XNode", 24) + left("XPU", 8) +
       fmt::format("{:>9}{:>8}{:>11}{:>18}\n", "jobs", "late", "suspended", "nearest its key");
@@ -896,15 +897,15 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
              fmt::format("{:>9}{:>8}{:>11}{:>18}\n", node.jobs, node.late, node.suspended,
                          near ? ms_of(node.closest_us) : "-");
   }
-  table += "\n" + row_of("chain", 19) +
-           fmt::format("{:>12}{:>12}{:>14}{:>12}{:>9}\n", "median", "99 %", "longest seen",
-                       "worst case", "releases");
-  bool exceeded = false;
-  const auto worst = [](const std::optional<std::int64_t>& claimed_us) {
-    return claimed_us ? exact_ms(*claimed_us) : "-";
-  };
+  return table;
+}
+
+/// Likewise of `chains`.
+std::string tell_chains(const keys::PlayReport& played, Json& chains) {
+  std::string table =
+      row_of("chain", 19) + fmt::format("{:>12}{:>12}{:>14}{:>12}{:>9}\n", "median", "99 %",
+                                        "longest seen", "worst case", "releases");
   for (const keys::PlayedChain& chain : played.chains) {
-    exceeded = exceeded || chain.exceeded();
     Json entry = {{"name", chain.name},
                   {"median_us", chain.median_us},
                   {"p99_us", chain.p99_us},
@@ -914,18 +915,35 @@ Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const 
     const auto seen = [&](double us) { return chain.releases > 0 ? ms_of(us) : "-"; };
     table += row_of(chain.name, 19) + fmt::format("{:>12}{:>12}{:>14}{:>12}{:>9}\n",
                                                   seen(chain.median_us), seen(chain.p99_us),
-                                                  seen(chain.longest_us), worst(chain.claimed_us),
-                                                  chain.releases);
+                                                  seen(chain.longest_us),
+                                                  worst_of(chain.claimed_us), chain.releases);
     if (chain.urgent > 0) {
       Json urgent = {{"longest_us", chain.longest_urgent_us}, {"releases", chain.urgent}};
       if (chain.claimed_urgent_us) urgent["worst_case_us"] = *chain.claimed_urgent_us;
       entry["urgent"] = std::move(urgent);
       table +=
           fmt::format("  {:<43}{:>14}{:>12}{:>9}\n", "  urgent", ms_of(chain.longest_urgent_us),
-                      worst(chain.claimed_urgent_us), chain.urgent);
+                      worst_of(chain.claimed_urgent_us), chain.urgent);
     }
     chains.push_back(std::move(entry));
   }
+  return table;
+}
+
+}  // namespace
+
+Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const std::string& path,
+                            const keys::PlayOptions& asked, const std::string& out,
+                            const Options& options) {
+  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", out));
+  XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, asked));
+  Json xnodes = Json::array(), chains = Json::array();
+  std::string table = tell_played(app, platform, policy, played, xnodes);
+  table += "\n" + tell_chains(played, chains);
+  const bool exceeded = std::any_of(played.chains.begin(), played.chains.end(),
+                                    [](const keys::PlayedChain& c) { return c.exceeded(); });
   table +=
       fmt::format("\n  {} on {}: {} jobs in {} s, {} late, {} times one was suspended\n", app.name,
                   platform.name, played.jobs, asked.seconds, played.late, played.suspended);

@@ -81,7 +81,7 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
                  theirs = hold("xauto/" + run + "/bb/real:" + core);
   ForeignWatch watch(session, *board, true);
   watch.look(2'000'000'000);
-  EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of user "), std::string::npos);
+  EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of uid "), std::string::npos);
   EXPECT_EQ(board->xpu(1).words_of_sharing(), "");  // it is ours
   EXPECT_EQ(board->xpu(2).words_of_sharing(), "");  // ours is emulated
 }

@@ -9,7 +9,7 @@ namespace {
 
 TEST(Nearest, AThirdMayBeWrong) {
   const std::vector<std::string> verbs = {"solve", "simulate", "compare", "recording", "run"};
-  EXPECT_EQ(nearest("sovle", verbs), "solve") << "two neighbours exchanged are one edit";
+  EXPECT_EQ(nearest("slove", verbs), "solve") << "two neighbours exchanged are one edit";
   EXPECT_EQ(nearest("slv", verbs), "");
   EXPECT_EQ(nearest("simluate", verbs), "simulate");
   EXPECT_EQ(nearest("explode", verbs), "");
