@@ -81,7 +81,7 @@ int main(int argc, char** argv) {
   net.add_impl(
       XPU::CPU, xauto::onnx::load(model),
       [](xauto::onnx::Session& session, State& state, const xauto::Input&) -> xauto::Status {
-        std::ranges::copy(state.scaled, session.releases.input<float>(0).begin());
+        std::ranges::copy(state.scaled, session.input<float>(0).begin());
         XAUTO_TRY(session.run());
         const auto logits = session.output<float>(0);
         state.faces.best = 1 / (1 + std::exp(-*std::ranges::max_element(logits)));

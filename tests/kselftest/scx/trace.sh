@@ -3,7 +3,7 @@
 drive traced ext 0 & # until it is stopped
 run=$!
 loaded $run
-xauto top --record trace.jsonl --count 0 >trace.txt 2>trace.err &
+xauto top --record trace.jsonl --count 0 --wait-s 30 >trace.txt 2>trace.err &
 trace=$!
 for _ in $(seq 600); do [ ! -e /sys/fs/bpf/xauto/*/pipe ] || break; sleep 0.1; done
 maps=$(echo /sys/fs/bpf/xauto/*)
@@ -21,6 +21,7 @@ kill -TERM $(pidof xauto) # the run, and the tracer with it; both end in order
 wait $trace
 status=$?
 wait $run
+[ $status -eq 0 ] || sed "s/^/# /" trace.err
 ok "xauto top --record records a run" [ $status -eq 0 ]
 ok "... and tells what it lost" sh -c 'grep -qE "^(complete|INCOMPLETE): " trace.txt'
 ok "... with wake-ups, runs, preemptions, sleeps" sh -c 'for k in wakeup run preempt sleep; do grep -q "\"$k\"" trace.jsonl || exit 1; done'
