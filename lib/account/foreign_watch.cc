@@ -12,7 +12,7 @@
 #include <unistd.h>
 
 #include "base/utf8.h"
-#include "processes/marks.h"
+#include "processes/address.h"
 
 namespace xauto::runtime {
 namespace {
@@ -101,11 +101,10 @@ Runners runners_on(int core, pid_t own, const std::string& proc) {
 ForeignWatch::ForeignWatch(const Session& session, Board& board, bool leads)
     : board_(board),
       leads_(leads),
-      own_(session.coordinators.empty() ? ""
-                                        : run_of_address(session.coordinators.begin()->second)),
-      hardware_(hardware_of(session.platform, session.presence)),
-      seen_(hardware_.size(), 0),
-      looks_(hardware_.size(), 0) {}
+      own_(session.coordinators.empty() ? "" : stem_of(session.coordinators.begin()->second)),
+      xpus_(real_xpus_of(session)),
+      seen_(xpus_.size(), 0),
+      looks_(xpus_.size(), 0) {}
 
 void ForeignWatch::look(std::int64_t now_ns) {
   look_for_runners();
@@ -116,19 +115,18 @@ void ForeignWatch::look(std::int64_t now_ns) {
 
 void ForeignWatch::look_for_runs() {
   for (const Holder& holder : holders(own_))
-    for (std::size_t x = 0; x < hardware_.size() && x < board_.shape().xpus; ++x)
-      if (hardware_[x] == holder.hardware) board_.xpu(x).tell_shared(holder.words());
+    for (std::size_t x = 0; x < xpus_.size() && x < board_.shape().xpus; ++x)
+      if (xpus_[x].hardware == holder.hardware) board_.xpu(x).tell_shared(holder.words());
 }
 
 /// Nobody knows who had the core then. Whoever is there now was probably there before.
 void ForeignWatch::look_for_runners() {
-  for (std::size_t x = 0; x < hardware_.size() && x < board_.shape().xpus; ++x) {
+  for (std::size_t x = 0; x < xpus_.size() && x < board_.shape().xpus; ++x) {
     XpuLine& line = board_.xpu(x);
     const std::uint64_t crowded = line.crowded.load();
-    if (crowded == seen_[x] || line.crowd_told.load() != 0 || !hardware_[x].starts_with("core"))
-      continue;
+    if (crowded == seen_[x] || line.crowd_told.load() != 0 || xpus_[x].core < 0) continue;
     seen_[x] = crowded;
-    const Runners there = runners_on(std::stoi(hardware_[x].substr(4)), getpid());
+    const Runners there = runners_on(xpus_[x].core, getpid());
     if (!there.names.empty() && (there.realtime || ++looks_[x] >= kLooksForRealtime))
       line.tell_crowd(fmt::format("{}", fmt::join(there.names, ", ")));
   }

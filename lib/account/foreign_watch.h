@@ -10,6 +10,7 @@
 #include <sys/types.h>
 
 #include "processes/board.h"
+#include "processes/marks.h"
 #include "session/session.h"
 
 namespace xauto::runtime {
@@ -36,10 +37,10 @@ class ForeignWatch {
 
   Board& board_;
   const bool leads_;
-  std::string own_;                    ///< how addresses of this run begin
-  std::vector<std::string> hardware_;  ///< [XPU]
-  std::vector<std::uint64_t> seen_;    ///< [XPU] jobs that had to wait, at the last look
-  std::vector<int> looks_;             ///< [XPU] how often somebody was looked for
+  std::string own_;                  ///< how addresses of this run begin
+  std::vector<RealXpu> xpus_;        ///< [XPU]
+  std::vector<std::uint64_t> seen_;  ///< [XPU] jobs that had to wait, at the last look
+  std::vector<int> looks_;           ///< [XPU] how often somebody was looked for
   std::int64_t looked_ns_ = 0;
 };
 

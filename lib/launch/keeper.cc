@@ -18,6 +18,7 @@
 #include "base/socket.h"
 #include "base/thread.h"
 #include "launch/cpu_run.h"
+#include "processes/marks.h"
 
 namespace xauto::launch {
 namespace {

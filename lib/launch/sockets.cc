@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "base/socket.h"
+#include "processes/marks.h"
 
 namespace xauto::launch {
 namespace {

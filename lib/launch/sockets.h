@@ -12,7 +12,7 @@
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
-#include "processes/marks.h"
+#include "processes/address.h"
 
 namespace xauto::launch {
 

@@ -28,6 +28,7 @@
 #include "launch/desk.h"
 #include "model/json.h"
 #include "model/json_value.h"
+#include "processes/marks.h"
 #include "processes/packet.h"
 #include "xpu/kind.h"
 

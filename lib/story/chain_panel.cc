@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/quantile.h"
 #include "story/chain_story.h"
 #include "story/html.h"
@@ -134,9 +135,8 @@ std::string axis_html(const Axis& axis) {
 /// What was counted and claimed, in a line.
 std::string numbers(const Part& part) {
   const ChainCounts& c = part.counts;
-  const auto time = [](std::int64_t us) { return us < 0 ? std::string("-") : page_ms(us); };
-  std::string text = fmt::format("p50 {}, p99 {}, max {} of {} results", time(c.p50_us),
-                                 time(c.p99_us), time(c.max_us), c.results);
+  std::string text = fmt::format("p50 {}, p99 {}, max {} of {} results", ms_in_row(c.p50_us),
+                                 ms_in_row(c.p99_us), ms_in_row(c.max_us), c.results);
   const ReadTrace& trace = part.run->trace;
   if (!part.whole_run && trace.overwritten > 0)
     text += fmt::format(" (of the last {:.1f} s)",

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "base/columns.h"
 #include "base/utf8.h"
 #include "story/chain_panel.h"
 #include "story/html.h"
@@ -127,7 +128,6 @@ std::string load_section(const std::vector<PagedRun>& runs) {
 }
 
 std::string changes_table(const ReadTrace& trace) {
-  const auto time = [](std::int64_t us) { return us < 0 ? std::string("-") : page_ms(us); };
   const std::size_t first = trace.changes.size() - std::min(kShownChanges, trace.changes.size());
   std::string html = fmt::format("<h3>Changes of the scenario: {}{}</h3>", trace.changes.size(),
                                  first > 0 ? fmt::format(", the last {}", kShownChanges) : "");
@@ -143,8 +143,8 @@ std::string changes_table(const ReadTrace& trace) {
         "<td class='text'>{}</td><td class='text'>{}</td><td>{}{}</td><td>{}</td></tr>",
         c.release, static_cast<double>(std::max<std::int64_t>(0, c.at_ns - trace.begin_ns)) * 1e-9,
         html_safe(c.from), html_safe(c.to), html_safe(c.table), html_safe(c.why),
-        time(c.spanned_us), c.chain.empty() ? "" : " of " + html_safe(c.chain),
-        time(c.worst_case_us));
+        ms_in_row(c.spanned_us), c.chain.empty() ? "" : " of " + html_safe(c.chain),
+        ms_in_row(c.worst_case_us));
   }
   return html + "</table>";
 }

@@ -179,7 +179,7 @@ class TraceFile {
       take_sample(event, ts);
     } else if (track.place == Place::kTables) {
       take_table(event, ts);
-    } else if (track.place == Place::kRun || track.place == Place::kDone) {
+    } else if (track.place == Place::kRun) {
       auto& list = out_.run;
       index = static_cast<int>(list.size());
       list.push_back(slice_of(event, track.row, ts));
@@ -279,8 +279,7 @@ class TraceFile {
     if (stack.empty()) return bad("ends a slice of track '" + track.name + "' that never began");
     const int index = stack.back();
     stack.pop_back();
-    if (index < 0 || track.place == Place::kChain) return {};
-    if (track.place == Place::kRun || track.place == Place::kDone)
+    if (index >= 0 && track.place == Place::kRun)
       out_.run[static_cast<std::size_t>(index)].end_ns = ts;
     return {};
   }

@@ -21,10 +21,10 @@ struct TraceSample {
   int release = -1;  ///< or the sensor's, index into `releases`
 };
 
-/// A slice on an XPU; or, as the end of a chain, an output being published.
+/// A slice on an XPU.
 struct TraceSlice {
   std::string name, category, module;
-  int row = -1;  ///< index into rows; -1: an output
+  int row = -1;  ///< index into rows
   std::int64_t begin_ns = 0, end_ns = 0, release = -1, waited_us = 0, part = 1;
   std::int64_t activation = -1;   ///< what belongs together; -1: not told
   std::vector<int> from;          ///< slices whose arrows end here: indices into the same list
@@ -86,7 +86,7 @@ struct ReadTrace {
   std::vector<TraceScenario> scenarios;
   std::vector<TraceChange> changes;  ///< by time
   std::string verdict;               ///< what became of the claims
-  std::vector<TraceSlice> run;       ///< by begin; with the outputs (category "done")
+  std::vector<TraceSlice> run;       ///< by begin
   std::int64_t lost = 0, dropped = 0;
   std::int64_t overwritten = 0;  ///< events from before `begin_ns`
   std::int64_t begin_ns = 0, end_ns = 0;

@@ -143,7 +143,7 @@ std::string xpu_rows(const ReadTrace& trace, const TraceReactions::One& release,
   const std::int64_t until_ns = release.released_ns + story.reaction_us * 1000;
   for (const TraceSlice& s : trace.run) {
     if (s.begin_ns >= until_ns) break;
-    if (s.row < 0 || s.category == "done" || s.end_ns <= release.released_ns) continue;
+    if (s.end_ns <= release.released_ns) continue;
     if ((s.end_ns - s.begin_ns) / 1000 * kLeastPart < story.reaction_us) continue;
     pieces[static_cast<std::size_t>(s.row)].push_back({s.begin_ns, s.end_ns, &s});
   }

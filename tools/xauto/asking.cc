@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
 #include <fstream>
 #include <map>
 #include <optional>
@@ -17,7 +16,7 @@
 #include "base/socket.h"
 #include "base/utf8.h"
 #include "coord/protocol.h"
-#include "launch/sockets.h"
+#include "processes/address.h"
 #include "processes/parameters.h"
 
 namespace xauto::cli {
@@ -27,18 +26,6 @@ namespace {
 constexpr std::size_t kMostOfOne = 128, kMostOfOthers = 384;
 constexpr int kTryAgainMs = 20;  ///< whose queue is full
 constexpr std::size_t kMaxAnswer = std::max(coord::kMaxStatusBytes, runtime::kMaxParameterAnswer);
-
-/// "<pid>-<n>".
-std::optional<pid_t> pid_of(std::string_view run) {
-  pid_t pid = 0;
-  std::uint32_t number = 0;
-  const char* const end = run.data() + run.size();
-  const auto [dash, wrong] = std::from_chars(run.data(), end, pid);
-  if (wrong != std::errc() || pid <= 0 || dash == end || *dash != '-') return std::nullopt;
-  const auto [rest, bad] = std::from_chars(dash + 1, end, number);
-  if (bad != std::errc() || rest != end) return std::nullopt;
-  return pid;
-}
 
 /// Whether the process is the peer's: its pid may have become another one's since it listened. In a PID
 /// namespace of its own it has called itself by the last of its numbers.
@@ -61,13 +48,13 @@ bool listens(const Peer& peer, pid_t named) {
   return same_user && same_pid;
 }
 
-Status may_ask(const Peer& peer, const std::string& run) {
+Status may_ask(const Peer& peer, const RunSocket& at) {
   if (peer.uid == geteuid()) return {};
-  const std::string of = "run '" + run + "' is of " + user_name(peer.uid);
+  const std::string of = "run '" + at.run + "' is of " + user_name(peer.uid);
   if (geteuid() != 0)
     return fail(ErrorCode::kPermission, of + ", and answers only that user and root", "--run",
                 "ask as that user, or with sudo");
-  if (const auto named = pid_of(run); named && listens(peer, *named)) return {};
+  if (listens(peer, at.pid)) return {};
   return fail(ErrorCode::kPermission,
               of + ", whose process " + std::to_string(peer.pid) + " is not the one in its name",
               "--run", "somebody has taken this name: it is no run of XAuto");
@@ -95,7 +82,7 @@ class Others {
 Result<Host> reach(const RunSocket& at, Others& others) {
   XAUTO_ASSIGN(UniqueFd socket, connect_to_anybody(at.address));
   XAUTO_ASSIGN(const Peer peer, peer_of(socket.get()));
-  XAUTO_TRY(may_ask(peer, at.run));
+  XAUTO_TRY(may_ask(peer, at));
   XAUTO_TRY(others.count(peer, at.run));
   return Host{peer.uid, std::move(socket)};
 }
@@ -131,13 +118,9 @@ std::string user_name(unsigned uid) {
 
 std::vector<RunSocket> run_sockets() {
   std::vector<RunSocket> sockets;
-  const std::string prefix = launch::kSocketPrefix;
-  for (const std::string& address : abstract_sockets(prefix)) {
-    const std::size_t first = address.find('/', prefix.size()), last = address.rfind('/');
-    if (first == std::string::npos || for_terminal(address, false) != address) continue;
-    const std::string run = address.substr(prefix.size(), first - prefix.size());
-    if (pid_of(run)) sockets.push_back({address, run, address.substr(last + 1)});
-  }
+  for (const std::string& address : abstract_sockets(runtime::kSocketPrefix))
+    if (auto parsed = runtime::parse_address(address))
+      sockets.push_back({address, parsed->run, parsed->name, parsed->pid});
   return sockets;
 }
 

@@ -16,9 +16,10 @@
 
 namespace xauto::cli {
 
-/// PREFIX<run>/<secret>/<name> (launch/sockets.h), of this network namespace.
+/// A parsed address (processes/address.h), of this network namespace.
 struct RunSocket {
   std::string address, run, name;
+  int pid = 0;  ///< as the run calls itself
 };
 /// Those that listen. Names that no run has are left out.
 [[nodiscard]] std::vector<RunSocket> run_sockets();

@@ -31,7 +31,8 @@ kernel::Finding who_has_xpus() {
     std::string& list = of_run[holder.words()];
     list += (list.empty() ? "" : ", ") + holder.hardware;
   }
-  kernel::Finding finding{"in use", kernel::Verdict::kOk, "no run has a real XPU", {}, {}};
+  kernel::Finding finding{
+      "in use", kernel::Verdict::kOk, "no run that is seen from here has a real XPU", {}, {}};
   finding.meaning = "a claim takes for granted that each XPU serves one app alone";
   if (of_run.empty()) return finding;
   finding.verdict = kernel::Verdict::kDegraded;

@@ -196,10 +196,10 @@ void PolicyRun::take(Policy made) {
 namespace {
 
 /// What the run's account says later is worth knowing before.
-void warn_of_others(const RunFlags& flags) {
-  const std::vector<std::string> ours = runtime::hardware_of(flags.spec, flags.presence);
+void warn_of_others(const runtime::Session& session) {
+  const std::vector<runtime::RealXpu> ours = runtime::real_xpus_of(session);
   for (const runtime::Holder& holder : runtime::holders({}))
-    if (std::find(ours.begin(), ours.end(), holder.hardware) != ours.end())
+    if (std::ranges::find(ours, holder.hardware, &runtime::RealXpu::hardware) != ours.end())
       log::warn("{} has {}, too: nothing that is claimed of either run stands", holder.words(),
                 holder.hardware);
 }
@@ -207,7 +207,6 @@ void warn_of_others(const RunFlags& flags) {
 }  // namespace
 
 Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop, Dump dump) {
-  if (run.scheduling == runtime::Scheduling::kXAuto) warn_of_others(flags);
   launch::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kRun;
@@ -222,6 +221,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
                                                   : runtime::CpuSched::kOther;
   request.cpu_budget_pct = flags.cpu_budget_pct;
   session.presence = flags.presence;
+  if (run.scheduling == runtime::Scheduling::kXAuto) warn_of_others(session);
   session.emulator_modules = flags.emulator_modules;
   session.releases.activations = flags.activations;
   session.releases.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));

@@ -67,9 +67,10 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
   Session session;
   session.platform = Platform{"p", {{"cpu0", "cpu"}, {"gpu0", "gpu"}, {"dla0", "dla"}}};
   session.presence = {Presence::kReal, Presence::kReal, Presence::kEmulated};
+  session.policy.placements = {{0}, {1}, {2}};
   session.coordinators["gpu0"] = "xauto/1-0/aa/gpu0";
   const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 3});
-  const std::string core = hardware_of(session.platform, session.presence)[0];
+  const std::string core = real_xpus_of(session)[0].hardware;
   const std::string run = std::to_string(getpid()) + "-77";
   const auto hold = [](const std::string& name) {
     auto socket = hold_abstract(name);
@@ -84,6 +85,21 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
   EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of uid "), std::string::npos);
   EXPECT_EQ(board->xpu(1).words_of_sharing(), "");  // it is ours
   EXPECT_EQ(board->xpu(2).words_of_sharing(), "");  // ours is emulated
+}
+
+/// Two apps on one machine share nothing where their policies place nothing on the same core.
+TEST(ForeignWatch, AnXpuThatThePolicyDoesNotUseIsNotTaken) {
+  Session session;
+  session.platform = Platform{"p", {{"gpu0", "gpu"}, {"gpu1", "gpu"}, {"npu0", "npu"}}};
+  session.presence = {Presence::kReal, Presence::kReal, Presence::kReal};
+  session.policy.placements = {{1}};
+  EXPECT_EQ(marks_of(session), (Names{"real:gpu1"}));
+  session.by_table.resize(2);
+  session.by_table[0].placements = {{1}};
+  session.by_table[1].placements = {{2}};
+  EXPECT_EQ(marks_of(session), (Names{"real:gpu1", "real:npu0"}));
+  session.scheduling = Scheduling::kRos2;  // nobody says where its stages are
+  EXPECT_EQ(marks_of(session), (Names{"real:gpu0", "real:gpu1", "real:npu0"}));
 }
 
 }  // namespace
