@@ -12,6 +12,7 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/uio.h>
 #include <sys/un.h>
 #include <unistd.h>
@@ -35,7 +36,8 @@ Result<socklen_t> fill(sockaddr_un& name, const std::string& address) {
                 address);
   name = {};
   name.sun_family = AF_UNIX;
-  std::memcpy(name.sun_path + 1, address.data(), address.size());
+  const bool path = address.front() == '/';
+  std::memcpy(name.sun_path + (path ? 0 : 1), address.data(), address.size());
   return static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + address.size());
 }
 
@@ -101,6 +103,28 @@ Result<UniqueFd> connect_abstract(const std::string& address, int timeout_ms) {
                 "is served by uid " + std::to_string(server.uid) + ", pid " +
                     std::to_string(server.pid) + ": neither this user nor root",
                 address);
+  return socket;
+}
+
+Result<UniqueFd> connect_path(const std::string& path, int timeout_ms) {
+  if (path.empty() || path.front() != '/')
+    return fail(ErrorCode::kInvalid, "is no path of a socket: it begins with '/'", path);
+  return connect_within(path, timeout_ms);
+}
+
+Result<UniqueFd> listen_path(const std::string& path, mode_t mode) {
+  if (path.empty() || path.front() != '/')
+    return fail(ErrorCode::kInvalid, "is no path of a socket: it begins with '/'", path);
+  sockaddr_un name;
+  XAUTO_ASSIGN(const socklen_t length, fill(name, path));
+  struct stat status {};
+  if (lstat(path.c_str(), &status) == 0 && S_ISSOCK(status.st_mode)) unlink(path.c_str());
+  UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), path);
+  // Before it listens nobody can connect, whatever its mode is by then.
+  if (bind(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0 ||
+      chmod(path.c_str(), mode) != 0 || listen(socket.get(), 64) != 0)
+    return fail(ErrorCode::kIo, errno_text("cannot listen"), path);
   return socket;
 }
 

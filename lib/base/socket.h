@@ -26,6 +26,11 @@ namespace xauto {
 /// server's queue, which whoever does not accept leaves full.
 [[nodiscard]] Result<UniqueFd> connect_abstract(const std::string& address,
                                                 int timeout_ms = 10'000);
+/// A socket in the file system: its directory's permissions say who may serve it, its own who may connect. At most
+/// 100 bytes. Waits as connect_abstract does.
+[[nodiscard]] Result<UniqueFd> connect_path(const std::string& path, int timeout_ms = 10'000);
+/// Removes what a server before us has left at `path`, but no other kind of file. `mode`: of the socket.
+[[nodiscard]] Result<UniqueFd> listen_path(const std::string& path, mode_t mode);
 /// Whoever serves it: ask peer_of. Does not wait: kTimeout if the queue is full.
 [[nodiscard]] Result<UniqueFd> connect_to_anybody(const std::string& address);
 /// Who has accepted, and of a connecting end who listens: at the time when they did.

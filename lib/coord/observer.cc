@@ -16,7 +16,8 @@ namespace xauto::coord {
 
 Result<std::unique_ptr<Observer>> Observer::connect(const std::string& address) {
   const std::string where = "coordinator '" + address + "'";
-  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
+  XAUTO_ASSIGN(Door door, parse_door(address));
+  XAUTO_ASSIGN(const UniqueFd socket, open_door(door));
   const auto ask = static_cast<std::uint32_t>(MessageKind::kObserve);
   XAUTO_TRY(send_packet(socket.get(), &ask, sizeof ask));
   Welcome answer;
@@ -27,6 +28,7 @@ Result<std::unique_ptr<Observer>> Observer::connect(const std::string& address) 
       static_cast<std::size_t>(status.st_size) < Shm::bytes(0))
     return fail(ErrorCode::kUnavailable, "answered with an unknown message", where);
   auto observer = std::unique_ptr<Observer>(new Observer);
+  observer->door_ = std::move(door);
   observer->bytes_ = static_cast<std::size_t>(status.st_size);
   void* memory =
       mmap(nullptr, observer->bytes_, PROT_READ, MAP_SHARED | MAP_POPULATE, fds[0].get(), 0);
@@ -57,7 +59,9 @@ void Observer::running(std::vector<Running>& out) const {
       const bool suspended = (slot.coordinator.command.load() & 1u) != 0;
       if ((!owns && slot.coordinator.grant.load() != generation) || suspended) continue;
     }
-    const Running job{i, generation, slot.worker.xnode.load(),
+    const auto xnode = own_xnode(door_, slot.worker.xnode.load());
+    if (!xnode) continue;
+    const Running job{i, generation, *xnode,
                       with_lent<RealAtomics>(slot.worker, generation, slot.worker.key.load())};
     if (slot.worker.request.load() == request) out.push_back(job);
   }

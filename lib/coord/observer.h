@@ -13,19 +13,20 @@
 
 #include <xauto/result.h>
 
+#include "coord/door.h"
 #include "coord/shm_layout.h"
 
 namespace xauto::coord {
 
 class Observer {
  public:
-  /// Of the coordinator behind the abstract socket `address`.
+  /// Of the coordinator at `address` (door.h).
   [[nodiscard]] static Result<std::unique_ptr<Observer>> connect(const std::string& address);
   ~Observer();
   Observer(const Observer&) = delete;
   Observer& operator=(const Observer&) = delete;
 
-  /// A job that may run and is not suspended; generation and slot tell it from all others.
+  /// A job of this run that may run and is not suspended; generation and slot tell it from all others.
   struct Running {
     int slot;
     std::uint32_t generation;
@@ -40,6 +41,7 @@ class Observer {
 
  private:
   Observer() = default;
+  Door door_;
   Shm shm_;
   std::size_t bytes_ = 0;
 };

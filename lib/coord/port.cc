@@ -41,11 +41,15 @@ Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const st
                     " XNodes, at most " + std::to_string(kMaxWorkerXNodes) + " are possible",
                 where);
   auto port = std::unique_ptr<Port>(new Port);
-  port->address_ = address;
+  XAUTO_ASSIGN(port->door_, parse_door(address));
+  port->first_xnode_ = port->door_.lease.first_xnode;
+  if (port->door_.shared() && !order.empty())
+    return fail(ErrorCode::kInvalid, "keeps no order pairs: it serves several runs", where);
   Hello& hello = port->hello_;
   std::strncpy(hello.worker, worker.c_str(), kMaxWorkerName - 1);
   hello.num_xnodes = static_cast<std::uint32_t>(xnodes.size());
-  std::copy(xnodes.begin(), xnodes.end(), hello.xnodes);
+  std::transform(xnodes.begin(), xnodes.end(), hello.xnodes,
+                 [&](std::uint32_t own) { return own + port->first_xnode_; });
   hello.num_order = static_cast<std::uint32_t>(order.size());
   XAUTO_TRY(port->introduce(hello, -1));
 
@@ -79,9 +83,11 @@ Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const st
 
 /// Hello and its answer, on a new socket.
 Status Port::introduce(const Hello& hello, int timeout_ms) {
-  const std::string where = "coordinator '" + address_ + "'";
-  XAUTO_ASSIGN(UniqueFd socket, connect_abstract(address_));
-  XAUTO_TRY(send_packet(socket.get(), &hello, sizeof hello));
+  const std::string where = "coordinator '" + door_.name + "'";
+  XAUTO_ASSIGN(UniqueFd socket, open_door(door_));
+  // Where the machine's service has refused it meanwhile, its answer is there all the same.
+  if (Status sent = send_packet(socket.get(), &hello, sizeof hello); !sent && !door_.shared())
+    return sent;
   for (int left = timeout_ms; timeout_ms >= 0 && !wait_readable(socket.get(), kLookMs);
        left -= kLookMs)
     if (left <= 0 || interrupted_.load()) return fail(ErrorCode::kTimeout, "did not answer", where);
@@ -90,8 +96,7 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
   XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), &answer, sizeof answer, &fds));
   if (size == sizeof(Refused) && answer.kind == static_cast<std::uint32_t>(MessageKind::kRefused)) {
     answer.reason[sizeof answer.reason - 1] = '\0';
-    return fail(ErrorCode::kUnavailable, std::string("refused the worker: ") + answer.reason,
-                where);
+    return fail(ErrorCode::kPermission, std::string("refused the worker: ") + answer.reason, where);
   }
   Welcome welcome;
   if (size != sizeof welcome || fds.size() != 2)
@@ -128,10 +133,13 @@ bool Port::rejoin() {
   hello.rejoin = static_cast<std::uint32_t>(slot_) + 1;
   const std::int64_t limit = now_ns() + std::int64_t{kRejoinMs} * 1'000'000;
   while (!interrupted_.load() && now_ns() < limit) {
-    // Its address is inherited by its successor: without anybody to listen, there will be none.
+    // Its address is inherited by its successor: without anybody to listen, there will be none. One behind the
+    // machine's socket may die with the connection that has just been handed to it.
     const Status status = introduce(hello, kRejoinMs);
     if (status) return watch_socket().has_value();
-    if (status.error().code != ErrorCode::kTimeout) break;
+    const ErrorCode code = status.error().code;
+    if (code == ErrorCode::kPermission || (code != ErrorCode::kTimeout && !door_.shared())) break;
+    if (code != ErrorCode::kTimeout) sleep_until_ns(now_ns() + std::int64_t{kLookMs} * 1'000'000);
   }
   return false;
 }
@@ -147,6 +155,7 @@ bool Port::contended() const {
 
 void Port::begin(const Job& job) {
   job_ = job;
+  job_.xnode += first_xnode_;
   waits_ = false;
   if (lost()) return;
   generation_ = (generation_ + 1) & kGenerationMask;
@@ -219,7 +228,7 @@ std::int64_t Port::beside_ns(std::int64_t since_ns, std::int64_t until_ns) const
 }
 
 void Port::skip(std::uint32_t xnode, std::uint64_t sequence) {
-  if (!lost()) tell(words_.skip(xnode, sequence));
+  if (!lost()) tell(words_.skip(xnode + first_xnode_, sequence));
 }
 
 void Port::ring() {
@@ -261,7 +270,7 @@ std::optional<Port::Begun> Port::begun(std::uint32_t xnode, std::uint64_t sequen
   const std::uint32_t request = line.request.load();
   const Want want = request_want(request);
   const std::uint32_t generation = request_generation(request);
-  const bool same = line.xnode.load() == xnode && line.sequence.load() == sequence;
+  const bool same = line.xnode.load() == xnode + first_xnode_ && line.sequence.load() == sequence;
   const Key key = with_lent<RealAtomics>(line, generation, line.key.load());
   // The execution thread may be at its next job by now.
   if (want != Want::kRun || !same || line.request.load() != request) return std::nullopt;

@@ -18,6 +18,7 @@
 
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
+#include "coord/door.h"
 #include "coord/protocol.h"
 #include "coord/shm_layout.h"
 #include "coord/socket_watch.h"
@@ -36,8 +37,8 @@ enum class Command : std::uint8_t {
 
 class alignas(64) Port {
  public:
-  /// Registers a worker with the coordinator behind the abstract socket `address`. `order`: pairs
-  /// (u, v) of XNodes on this XPU, as the coordinator knows them. `fifo`: SCHED_FIFO priority of
+  /// Registers a worker with the coordinator at `address` (door.h). `order`: pairs (u, v) of XNodes on this XPU,
+  /// as the coordinator knows them; one that several runs share knows none. `fifo`: SCHED_FIFO priority of
   /// management threads, also of the one that hears of the coordinator's death; 0: none.
   [[nodiscard]] static Result<std::unique_ptr<Port>> connect(
       const std::string& address, const std::string& worker,
@@ -103,13 +104,14 @@ class alignas(64) Port {
   Job job_;
   int slot_ = -1;
   std::uint32_t generation_ = 0;
+  std::uint32_t first_xnode_ = 0;  ///< what XNode 0 is to the coordinator
   bool waits_ = false;             ///< begun, and not known to run
   std::atomic<bool> took_{false};  ///< the job last started may have got the XPU from another
   std::atomic<bool> lost_{false}, interrupted_{false};
   std::atomic<bool> ended_{false};  ///< the socket: its coordinator is dead
   std::uint32_t pending_command_ = 0;
   Rules rules_;
-  std::string address_;
+  Door door_;
   Hello hello_;
   UniqueFd socket_, memory_, doorbell_;
   std::shared_ptr<SocketWatch> watch_;

@@ -3,6 +3,9 @@
 // message): registration, with the shared memory's descriptors in the answer, and status. The
 // socket's end is how each side learns of the other's death. Everything on the job path is in
 // shm_layout.h instead.
+//
+// A coordinator that several runs share listens nowhere: the machine's service hands each connection to it, with
+// Adopt, over a socket that the two have (launch/system_service.h). From then on it is a connection like others.
 #pragma once
 
 #include <cstddef>
@@ -11,10 +14,11 @@
 
 namespace xauto::coord {
 
-inline constexpr std::uint32_t kProtocolVersion = 5;
+inline constexpr std::uint32_t kProtocolVersion = 6;
 inline constexpr std::size_t kMaxWorkerName = 64;
 inline constexpr std::size_t kMaxWorkerXNodes = 256;
 inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
+inline constexpr std::size_t kMaxHardwareName = 32;
 
 enum class MessageKind : std::uint32_t {
   kHello = 1,    ///< worker -> coordinator: Hello
@@ -22,6 +26,26 @@ enum class MessageKind : std::uint32_t {
   kRefused = 3,  ///< coordinator -> worker: Refused, then the socket is closed
   kStatus = 4,   ///< anybody -> coordinator: MessageKind alone; answered with JSON text
   kObserve = 5,  ///< worker -> coordinator: MessageKind alone; answered with Welcome + {memfd}
+  kAttach =
+      6,  ///< worker -> service: Attach, before all else; Refused, or what the coordinator answers to the rest
+  kAdopt = 7,     ///< service -> coordinator: Adopt + {connection}
+  kEndLease = 8,  ///< service -> coordinator: Adopt, without a connection: the run is gone
+};
+
+struct Attach {
+  std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kAttach);
+  std::uint32_t version = kProtocolVersion;
+  std::uint32_t lease = 0;
+  std::uint32_t pad = 0;
+  std::uint64_t secret = 0;
+  char hardware[kMaxHardwareName] = {};  ///< NUL-terminated
+};
+
+/// Whose connection it is: a worker behind it may name these XNodes, and no others.
+struct Adopt {
+  std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kAdopt);
+  std::uint32_t lease = 0;
+  std::uint32_t first_xnode = 0, num_xnodes = 0;
 };
 
 struct Hello {
@@ -48,6 +72,8 @@ struct Refused {
 
 static_assert(std::is_trivially_copyable_v<Hello> && sizeof(Hello) == 84 + 4 * kMaxWorkerXNodes);
 static_assert(std::is_trivially_copyable_v<Welcome> && sizeof(Welcome) == 8);
+static_assert(std::is_trivially_copyable_v<Attach> && sizeof(Attach) == 24 + kMaxHardwareName);
+static_assert(std::is_trivially_copyable_v<Adopt> && sizeof(Adopt) == 16);
 static_assert(std::is_trivially_copyable_v<Refused> && sizeof(Refused) == 128);
 
 }  // namespace xauto::coord

@@ -43,7 +43,8 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
       return fail(ErrorCode::kInvalid, "order names an XNode beyond the app's");
   auto server = std::unique_ptr<Server>(new Server(std::move(options)));
   Server& s = *server;
-  const auto num_xnodes = static_cast<std::uint32_t>(s.options_.xnodes.size());
+  const auto num_xnodes =
+      s.options_.shared ? kMaxSharedXNodes : static_cast<std::uint32_t>(s.options_.xnodes.size());
 
   s.memory_fd_ = s.options_.memory_fd >= 0
                      ? UniqueFd(s.options_.memory_fd)
@@ -86,6 +87,8 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
   if (!s.doorbell_ || !s.epoll_)
     return fail(ErrorCode::kIo, std::string("eventfd/epoll: ") + strerror(errno));
   s.listener_ = UniqueFd(s.options_.listener_fd);
+  if (!s.listener_ && s.options_.shared)
+    return fail(ErrorCode::kInvalid, "a shared coordinator needs a socket to the service");
   if (!s.listener_) {
     XAUTO_ASSIGN(s.listener_, listen_abstract(s.options_.address));
   }
@@ -152,7 +155,10 @@ Status Server::run(int stop_fd) {
       if (fd == doorbell_.get()) {
         drain_eventfd(fd);
       } else if (fd == listener_.get()) {
-        accept_connection();
+        if (!options_.shared)
+          accept_connection();
+        else if (!hear_service())
+          return fail(ErrorCode::kUnavailable, "the machine's service is gone");
       } else {
         Hello packet;
         const auto size = receive_packet(fd, &packet, sizeof packet);
@@ -175,13 +181,45 @@ void Server::accept_connection() {
                    now_ns());
 }
 
-bool Server::adopt_connection(UniqueFd socket) {
+/// False: it is gone.
+bool Server::hear_service() {
+  Adopt packet;
+  std::vector<UniqueFd> fds;
+  const auto size = receive_packet(listener_.get(), &packet, sizeof packet, &fds);
+  if (!size) return size.error().code != ErrorCode::kUnavailable;
+  if (*size != sizeof packet) return true;
+  if (packet.kind == static_cast<std::uint32_t>(MessageKind::kEndLease)) {
+    end_lease(packet.lease);
+  } else if (packet.kind == static_cast<std::uint32_t>(MessageKind::kAdopt) && fds.size() == 1) {
+    if (!adopt_connection(std::move(fds[0]), packet))
+      refusals_.tell("refused a connection: " + std::to_string(connections_.size()) + " are open",
+                     now_ns());
+  }
+  return true;
+}
+
+void Server::end_lease(std::uint32_t lease) {
+  thread_.check();
+  std::vector<int> theirs;
+  for (const auto& [fd, connection] : connections_)
+    if (connection.whose.lease == lease) theirs.push_back(fd);
+  for (const int fd : theirs) drop(fd);
+}
+
+bool Server::may_name(const Connection& connection, std::uint32_t xnode) const {
+  if (!options_.shared) return xnode < options_.xnodes.size();
+  return xnode >= connection.whose.first_xnode &&
+         xnode - connection.whose.first_xnode < connection.whose.num_xnodes &&
+         xnode < kMaxSharedXNodes;
+}
+
+bool Server::adopt_connection(UniqueFd socket, const Adopt& whose) {
   const int fd = socket.get();
   epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
   if (connections_.size() >= kMaxConnections ||
       epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
     return false;
-  connections_[fd].socket = std::move(socket);
+  connections_[fd] = Connection{.socket = std::move(socket), .whose = whose};
   return true;
 }
 
@@ -221,7 +259,7 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
     return refuse("worker name is not terminated");
   if (hello.num_xnodes > kMaxWorkerXNodes) return refuse("too many XNodes");
   for (std::uint32_t i = 0; i < hello.num_xnodes; ++i)
-    if (hello.xnodes[i] >= options_.xnodes.size()) return refuse("names an unknown XNode");
+    if (!may_name(connection, hello.xnodes[i])) return refuse("names an unknown XNode");
   if (!agree_on_order(hello.num_order)) return refuse("keeps other order constraints than we do");
   int slot = 0;
   const bool rejoins = hello.rejoin != 0;
@@ -297,6 +335,7 @@ void Server::wake(const Wakes& wakes) {
 // ---- telling ------------------------------------------------------------------------------------
 
 std::string Server::xnode_name(std::uint32_t xnode) const {
+  if (options_.shared) return "XNode " + std::to_string(xnode);
   return xnode < options_.xnodes.size() ? options_.xnodes[xnode] : "?";
 }
 

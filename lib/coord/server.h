@@ -19,6 +19,7 @@
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
 #include "coord/coordinator_side.h"
+#include "coord/protocol.h"
 #include "coord/shm_layout.h"
 #include "model/xpu_status.h"
 
@@ -36,6 +37,9 @@ struct ServerOptions {
   int listener_fd = -1, memory_fd = -1, doorbell_fd = -1;
   bool by_keys = false;  ///< a policy of keys: for people, who are told instants
   int levels = 0;        ///< of kLevels: how many the hardware has
+  /// It serves several runs: `listener_fd` is then the socket to the machine's service, which says who comes
+  /// (protocol.h); there may be kMaxSharedXNodes, none with a name, and no order.
+  bool shared = false;
 };
 
 /// Threads: one.
@@ -61,12 +65,15 @@ class Server {
   /// connection stays open.
   bool handle_packet(int connection, const void* data, std::size_t bytes);
   /// A connection that was accepted elsewhere; returns false if there are too many.
-  bool adopt_connection(UniqueFd socket);
+  bool adopt_connection(UniqueFd socket, const Adopt& whose = {});
+  /// Its workers' connections are closed.
+  void end_lease(std::uint32_t lease);
 
  private:
   struct Connection {
     UniqueFd socket;
     int slot = -1;  ///< -1: has not said Hello
+    Adopt whose;    ///< of a shared one: which XNodes it may name
   };
   struct SlotInfo {
     std::string worker;
@@ -76,6 +83,8 @@ class Server {
 
   explicit Server(ServerOptions options);
   void accept_connection();
+  [[nodiscard]] bool hear_service();
+  [[nodiscard]] bool may_name(const Connection& connection, std::uint32_t xnode) const;
   bool welcome(Connection& connection, const void* data, std::size_t bytes);
   [[nodiscard]] bool agree_on_order(std::uint32_t num_order);
   void drop(int connection);

@@ -10,6 +10,7 @@
 #include <signal.h>
 #include <sys/eventfd.h>
 #include <sys/mman.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -58,6 +59,10 @@ Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
 std::int64_t cpu_us(const Child& child) {
   clockid_t clock;
   return clock_getcpuclockid(child.pid(), &clock) == 0 ? clock_ns(clock) / 1000 : 0;
+}
+
+std::string name_of_coordinator(const std::string& xpu) {
+  return "xauto-coordinator of " + xpu;
 }
 
 }  // namespace
@@ -117,25 +122,56 @@ Status Daemons::start_coordinators(const runtime::Session& session, Sockets& soc
                                    int session_fd) {
   thread_.check();
   for (const auto& [xpu, address] : session.coordinators) {
-    const std::string name = "xauto-coordinator of " + xpu;
+    if (!sockets.has(xpu)) continue;  // the machine's
     Daemon daemon;
-    daemon.name = name;
-    daemon.coordinator = true;
-    daemon.kept[0] = sockets.take(xpu);
-    daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
-    daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-    if (!daemon.kept[1] || !daemon.kept[2])
-      return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
-    SpawnOptions& options = daemon.options;
-    options.argv = {bin_ + "/xauto-coordinator", "--xpu", xpu, "--socket", address, "--session-fd",
-                    std::to_string(session_fd)};
-    options.inherit = {session_fd};
-    daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
-    XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
-    daemon.start_up_us = cpu_us(daemon.child);
-    XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
-    daemons_.push_back(std::move(daemon));
+    daemon.options.argv = {bin_ + "/xauto-coordinator", "--socket", address, "--session-fd",
+                           std::to_string(session_fd)};
+    daemon.options.inherit = {session_fd};
+    XAUTO_TRY(start_coordinator(std::move(daemon), xpu, sockets.take(xpu)));
   }
+  return {};
+}
+
+Result<UniqueFd> Daemons::start_shared(const std::string& hardware, Discipline discipline,
+                                       int levels) {
+  thread_.check();
+  int ends[2];
+  if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0)
+    return fail(ErrorCode::kIo, std::string("socketpair: ") + strerror(errno));
+  UniqueFd ours(ends[0]), its(ends[1]);
+  Daemon daemon;
+  daemon.options.argv = {bin_ + "/xauto-coordinator", "--shared-as",
+                         std::to_string(static_cast<int>(discipline)), "--levels",
+                         std::to_string(levels)};
+  XAUTO_TRY(start_coordinator(std::move(daemon), hardware, std::move(its)));
+  return ours;
+}
+
+void Daemons::end_shared(const std::string& hardware) {
+  thread_.check();
+  const auto found = std::find_if(daemons_.begin(), daemons_.end(), [&](const Daemon& daemon) {
+    return daemon.name == name_of_coordinator(hardware);
+  });
+  if (found == daemons_.end()) return;
+  (void)found->child.stop(kGraceMs);
+  daemons_.erase(found);
+}
+
+/// `door`: where who wants it comes in; it outlives the coordinator, as its memory and its doorbell do.
+Status Daemons::start_coordinator(Daemon daemon, const std::string& xpu, UniqueFd door) {
+  daemon.name = name_of_coordinator(xpu);
+  daemon.coordinator = true;
+  daemon.kept[0] = std::move(door);
+  daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+  daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!daemon.kept[1] || !daemon.kept[2])
+    return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+  daemon.options.argv.insert(daemon.options.argv.end(), {"--xpu", xpu});
+  daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
+  XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
+  daemon.start_up_us = cpu_us(daemon.child);
+  XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
+  daemons_.push_back(std::move(daemon));
   return {};
 }
 

@@ -49,6 +49,11 @@ class Daemons {
   [[nodiscard]] Status start_coordinators(const runtime::Session& session, Sockets& sockets,
                                           int session_fd);
 
+  /// One that several runs share: the socket by which it is told who comes (coord/protocol.h).
+  [[nodiscard]] Result<UniqueFd> start_shared(const std::string& hardware, Discipline discipline,
+                                              int levels);
+  void end_shared(const std::string& hardware);
+
   /// Their ends show here.
   void add_to(std::vector<pollfd>& fds) const;
   /// Starts again what has died, kills what hangs. False: the emulator is gone for good, once.
@@ -79,6 +84,7 @@ class Daemons {
 
     void hand_over(std::initializer_list<const char*> flags);
   };
+  [[nodiscard]] Status start_coordinator(Daemon daemon, const std::string& xpu, UniqueFd door);
   [[nodiscard]] bool restart(Daemon& daemon, const Exit& exit);
 
   OneThread thread_;

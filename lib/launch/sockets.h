@@ -26,6 +26,8 @@ class Sockets {
 
   /// "<pid>-<n>".
   [[nodiscard]] const std::string& run() const { return run_; }
+  /// Whether it was one of `names`.
+  [[nodiscard]] bool has(const std::string& name) const { return sockets_.count(name) != 0; }
   /// Of one of `names`.
   [[nodiscard]] const std::string& address(const std::string& name) const;
   /// Its listening socket, once.

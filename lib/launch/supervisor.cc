@@ -26,6 +26,7 @@
 #include "launch/cpu_run.h"
 #include "launch/daemons.h"
 #include "launch/desk.h"
+#include "launch/system_lease.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "processes/marks.h"
@@ -85,8 +86,9 @@ class Supervisor {
     for (ModuleProcess& process : processes_) end(process);
     daemons_->stop(kGraceMs);
     outcome_.coordinators_cpu_us = daemons_->coordinators_cpu_us();
-    outcome_.deaths += daemons_->deaths();
+    outcome_.deaths += daemons_->deaths() + (lease_lost_ ? 1 : 0);
     outcome_.dead_daemons = daemons_->who_died();
+    if (lease_lost_) outcome_.dead_daemons.push_back("xauto-system ended, and its coordinators");
     outcome_.emulator_died = daemons_->emulator_died();
     return collect();
   }
@@ -104,6 +106,8 @@ class Supervisor {
     const bool runs = session.mode == Mode::kRun;
     const bool scheduled = runs && session.scheduling == Scheduling::kXAuto;
     const bool has_hub = runs && !session.parts.modules.empty();
+    decide_cpu_by_keys(session);
+    XAUTO_TRY(join_machine());
     std::vector<std::string> names = socket_names(session);
     if (runs) names.insert(names.end(), {kLiveName, kDeskName});
     if (has_hub) names.emplace_back(kHubName);
@@ -123,7 +127,7 @@ class Supervisor {
     }
     if (scheduled)
       for (const Xpu& xpu : session.platform.xpus)
-        session.coordinators[xpu.id] = sockets.address(xpu.id);
+        if (sockets.has(xpu.id)) session.coordinators[xpu.id] = sockets.address(xpu.id);
     UniqueFd hub;  // closed here once the app has it: its end must show
     if (has_hub) {
       session.parts.hub = sockets.address(kHubName);
@@ -142,6 +146,23 @@ class Supervisor {
     std::erase(options.inherit, answer_.get());
     std::erase(options.inherit, board_fd_.get());  // they get it from the hub
     return start_modules(session, options);
+  }
+
+  /// A place on the machine's coordinators, of each real XPU that we schedule.
+  Status join_machine() {
+    Session& session = request_.session;
+    if (request_.system_socket.empty()) return {};
+    LeaseRequest asks{
+        .path = request_.system_socket,
+        .app = session.app.name,
+        .num_xnodes = static_cast<std::uint32_t>(session.num_tables() * session.app.xnodes.size()),
+        .xpus = shareable_xpus(session),
+        .demand = request_.demand};
+    if (asks.xpus.empty()) return {};
+    XAUTO_ASSIGN(lease_, SystemLease::ask(asks));
+    for (const JoinXpu& xpu : asks.xpus)
+      session.coordinators[xpu.id] = lease_->address(xpu.hardware);
+    return {};
   }
 
   /// What the app's process is, what it inherits, and what its environment says of the session.
@@ -299,6 +320,15 @@ class Supervisor {
     if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board->get()});
   }
 
+  /// The machine's service ends no run; but without it nobody decides on the XPUs that it kept.
+  void look_at_lease() {
+    if (!lease_ || lease_lost_ || !wait_readable(lease_->fd(), 0)) return;
+    lease_lost_ = true;
+    outcome_.notes.push_back(
+        "xauto-system ended: jobs on the XPUs that runs share went on unscheduled");
+    log::warn("{}", outcome_.notes.back());
+  }
+
   /// Of daemons, to whoever looks at the run.
   void show_deaths() {
     if (daemons_->deaths() == shown_deaths_ || !board_fd_) return;
@@ -379,6 +409,7 @@ class Supervisor {
         request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
       look_for_incidents(now);
       if (!daemons_->look_after(now)) tell(nullptr);
+      look_at_lease();
       show_deaths();
       if (cpus_.scheduler)
         if (const auto exit = cpus_.scheduler->child.poll()) {
@@ -438,6 +469,8 @@ class Supervisor {
   Supervision request_;
   std::string bin_;
   UniqueFd answer_, trace_, session_, board_fd_, live_;
+  std::optional<SystemLease> lease_;
+  bool lease_lost_ = false;
   std::shared_ptr<const Board> board_;
   std::uint64_t shown_deaths_ = 0;
   std::optional<Desk> desk_;     ///< none: it is no run

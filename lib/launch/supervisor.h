@@ -52,6 +52,9 @@ struct Supervision {
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: drain; see stop_count for more
   /// About five times a second. `board` is null until the app has made it.
   std::function<void(double elapsed_s, const runtime::Board* board)> on_tick;
+  /// Joins the machine's coordinators at this socket, with `demand`; "": the run brings its own.
+  std::string system_socket;
+  std::string demand;       ///< text of a demand file
   double trace_keep_s = 0;  ///< the trace keeps the newest events of so long; 0: no trace
   /// Of the first few of each kind, shortly after it happened. Called on the caller's thread.
   std::function<void(const Incident&)> on_incident;

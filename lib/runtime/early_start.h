@@ -8,7 +8,8 @@
 // only moves on.
 //
 // The modules are in one process, and releases have the numbers of a grid. Where that is not so there is no early start
-// in the run at all (`may_be`), and holds are waited for to their end. What we release ourselves comes when it is due.
+// in the run at all (`may_be`), and holds are waited for to their end. So it is beside other runs on shared XPUs: of
+// their jobs nobody here knows whether they have ended. What we release ourselves comes when it is due.
 // Of a sensor that publishes by itself the next releases are no sooner than its clock's tolerance allows, counted from
 // the last one.
 #pragma once

@@ -112,7 +112,8 @@ struct Session {
   CpuPlan cpu;
   std::vector<Presence> presence;  ///< [XPU]; empty: all are real
   bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
-  std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
+  /// XPU id -> where its coordinator is (coord/door.h); empty: none
+  std::map<std::string, std::string> coordinators;
   ReleaseRequest releases;
   ProfileRequest profile;
   LoadRequest load;
@@ -147,6 +148,11 @@ struct Session {
   /// Order constraints of all tables on this XPU, between tasks.
   [[nodiscard]] std::vector<std::pair<std::uint32_t, std::uint32_t>> order_on(int xpu) const;
 
+  /// Some of its XPUs other runs use as well, under coordinators of the machine.
+  [[nodiscard]] bool shares() const {
+    return std::any_of(coordinators.begin(), coordinators.end(),
+                       [](const auto& one) { return one.second.starts_with('/'); });
+  }
   [[nodiscard]] Presence presence_of(int xpu) const {
     return presence.empty() ? Presence::kReal : presence[static_cast<std::size_t>(xpu)];
   }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto-coordinator: decides who may use one XPU instance. Started by the xauto tool, one per XPU.
+// xauto-coordinator: decides who may use one XPU instance. Started by the xauto tool, one per XPU of a run, or by
+// xauto-system, one per XPU of the machine.
 #include <string>
 
 #include "base/daemon.h"
@@ -38,6 +39,17 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
   return options;
 }
 
+xauto::Result<xauto::coord::ServerOptions> shared_options(const std::string& xpu, int discipline,
+                                                          int levels) {
+  xauto::coord::ServerOptions options;
+  options.xpu = xpu;
+  options.shared = true;
+  options.discipline = static_cast<xauto::Discipline>(discipline);
+  options.levels = levels;
+  options.by_keys = true;
+  return options;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -45,18 +57,27 @@ int main(int argc, char** argv) {
                           "xauto-coordinator");
   std::string xpu, address;
   int session_fd = -1, ready_fd = -1, listen_fd = -1, memory_fd = -1, doorbell_fd = -1;
+  int shared_as = -1, levels = 0;
   cli.option("--xpu", xpu, "XPU instance, e.g. gpu0").required();
-  cli.option("--socket", address, "abstract socket to listen on").required();
-  cli.option("--session-fd", session_fd, "descriptor of the session's text").required();
+  cli.option("--socket", address, "abstract socket to listen on");
+  cli.option("--session-fd", session_fd, "descriptor of the session's text");
+  cli.option("--shared-as", shared_as,
+             "discipline of an XPU that several runs share, in place of these two")
+      .range(0, 3);
+  cli.option("--levels", levels, "of such an XPU, where the hardware has them");
   cli.option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
   cli.option("--listen-fd", listen_fd, "the socket, listening: it outlives a coordinator");
   cli.option("--memory-fd", memory_fd, "the shared memory, which outlives it, too");
   cli.option("--doorbell-fd", doorbell_fd, "and the doorbell");
   if (const auto status = cli.parse(argc, argv)) return *status;
+  if (shared_as < 0 && (session_fd < 0 || address.empty()))
+    return complain(xauto::Error{
+        xauto::ErrorCode::kInvalid, "needs --socket and --session-fd, or --shared-as", xpu, {}});
 
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
 
-  auto options = options_for(xpu, session_fd);
+  auto options =
+      shared_as < 0 ? options_for(xpu, session_fd) : shared_options(xpu, shared_as, levels);
   if (!options) return complain(options.error());
   options->address = address;
   options->listener_fd = listen_fd;

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "launch/system_lease.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include <unistd.h>
+
+#include "base/socket.h"
+#include "processes/marks.h"
+#include "xpu/kind.h"
+
+namespace xauto::launch {
+namespace {
+
+constexpr int kAnswerMs = 60'000;  ///< the test of many jobs takes its time
+
+Result<UniqueFd> connect_to_service(const std::string& path) {
+  if (access(path.c_str(), F_OK) != 0)
+    return fail(ErrorCode::kNotFound, "no service of the machine listens there", path);
+  if (access(path.c_str(), W_OK) != 0)
+    return fail(ErrorCode::kPermission, "this user may not use the machine's coordinators", path,
+                "add the user to the group xauto: `sudo adduser $USER xauto`, and log in again");
+  return connect_path(path);
+}
+
+}  // namespace
+
+std::vector<JoinXpu> shareable_xpus(const runtime::Session& session) {
+  std::vector<JoinXpu> found;
+  const std::vector<runtime::RealXpu> real = runtime::real_xpus_of(session);
+  for (std::size_t x = 0; x < real.size(); ++x) {
+    const Xpu& spec = session.platform.xpus[x];
+    const Discipline discipline = xpu::discipline_of(spec, false, session.cpu.by_keys);
+    if (real[x].hardware.empty() || discipline == Discipline::kKernel) continue;
+    JoinXpu& xpu = found.emplace_back();
+    std::strncpy(xpu.id, spec.id.c_str(), sizeof xpu.id - 1);
+    std::strncpy(xpu.hardware, real[x].hardware.c_str(), sizeof xpu.hardware - 1);
+    xpu.discipline = static_cast<std::uint32_t>(discipline);
+    xpu.levels = xpu::levels_of(spec, false);
+  }
+  return found;
+}
+
+Result<SystemLease> SystemLease::ask(const LeaseRequest& request) {
+  if (request.demand.empty() || request.demand.size() > kMaxDemandBytes)
+    return fail(ErrorCode::kInvalid,
+                "the demand has " + std::to_string(request.demand.size()) + " bytes, not 1.." +
+                    std::to_string(kMaxDemandBytes),
+                request.app);
+  if (request.xpus.size() > kMaxLeaseXpus)
+    return fail(ErrorCode::kInvalid, "uses more than " + std::to_string(kMaxLeaseXpus) + " XPUs",
+                request.app);
+  SystemLease lease;
+  lease.path_ = request.path;
+  XAUTO_ASSIGN(lease.socket_, connect_to_service(request.path));
+  Join join{.num_xnodes = request.num_xnodes,
+            .num_xpus = static_cast<std::uint32_t>(request.xpus.size()),
+            .demand_bytes = static_cast<std::uint32_t>(request.demand.size())};
+  std::strncpy(join.app, request.app.c_str(), sizeof join.app - 1);
+  std::copy(request.xpus.begin(), request.xpus.end(), join.xpus);
+  const int fd = lease.socket_.get();
+  XAUTO_TRY(send_packet(fd, &join, sizeof join, {}, IfFull::kWait));
+  for (std::size_t at = 0; at < request.demand.size(); at += kDemandPiece) {
+    const std::size_t bytes = std::min(kDemandPiece, request.demand.size() - at);
+    // Where it was refused meanwhile, the answer is there all the same.
+    if (!send_packet(fd, request.demand.data() + at, bytes, {}, IfFull::kWait)) break;
+  }
+  if (!wait_readable(fd, kAnswerMs))
+    return fail(ErrorCode::kTimeout, "did not answer within a minute", request.path);
+  NotAdmitted answer;  // the larger of both
+  XAUTO_ASSIGN(const std::size_t size, receive_packet(fd, &answer, sizeof answer));
+  if (size == sizeof answer &&
+      answer.kind == static_cast<std::uint32_t>(SystemWord::kNotAdmitted)) {
+    answer.reason[sizeof answer.reason - 1] = '\0';
+    return fail(ErrorCode::kInfeasible, std::string("is not admitted: ") + answer.reason,
+                request.app, "`xauto top` shows who is there; `xauto solve --beside` plans for it");
+  }
+  Admitted admitted;
+  if (size != sizeof admitted)
+    return fail(ErrorCode::kUnavailable, "answered with an unknown message", request.path);
+  std::memcpy(&admitted, static_cast<const void*>(&answer), sizeof admitted);
+  if (admitted.kind != static_cast<std::uint32_t>(SystemWord::kAdmitted))
+    return fail(ErrorCode::kUnavailable, "answered with an unknown message", request.path);
+  lease.lease_ = {.number = admitted.lease,
+                  .secret = admitted.secret,
+                  .first_xnode = admitted.first_xnode,
+                  .num_xnodes = admitted.num_xnodes};
+  return lease;
+}
+
+std::string SystemLease::address(const std::string& hardware) const {
+  return coord::Door{.path = path_, .name = hardware, .lease = lease_}.to_text();
+}
+
+}  // namespace xauto::launch

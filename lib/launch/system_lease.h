@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// A run's place beside others on the machine's coordinators (system_service.h). It has it until the object, or the
+// process, ends.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+#include "coord/door.h"
+#include "launch/system_protocol.h"
+#include "session/session.h"
+
+namespace xauto::launch {
+
+struct LeaseRequest {
+  std::string path = kSystemSocket;
+  std::string app;
+  std::uint32_t num_xnodes = 0;  ///< of all tables together
+  std::vector<JoinXpu> xpus;     ///< those that it uses and others may share
+  std::string demand;            ///< text of a demand file
+};
+
+/// The real XPUs that the session's policy uses and coordinators schedule: the kernel's own scheduler of CPUs (--cpu-sched
+/// ext) is none. After decide_cpu_by_keys().
+[[nodiscard]] std::vector<JoinXpu> shareable_xpus(const runtime::Session& session);
+
+class SystemLease {
+ public:
+  /// kNotFound: nobody serves there; kPermission: this user may not ask; kInfeasible: it does not fit to those who are
+  /// there, and how.
+  [[nodiscard]] static Result<SystemLease> ask(const LeaseRequest& request);
+
+  /// Address of the coordinator of `hardware`, for Session::coordinators.
+  [[nodiscard]] std::string address(const std::string& hardware) const;
+  /// Readable once the service has gone, and with it the lease.
+  [[nodiscard]] int fd() const { return socket_.get(); }
+
+ private:
+  UniqueFd socket_;
+  std::string path_;
+  coord::Lease lease_;
+};
+
+}  // namespace xauto::launch

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+// What is said at the machine's socket (AF_UNIX, SOCK_SEQPACKET, a path). Who connects says one of
+//   Join, then its demand in pieces   a run: answered with Admitted or NotAdmitted. The connection is its lease:
+//                                     where it ends, the run has gone
+//   coord::Attach                     a worker of such a run: the connection goes on to the coordinator
+//   MessageKind::kStatus alone        anybody: answered with JSON text
+// No descriptor is taken from anybody: to close one may wait for a stranger.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "coord/protocol.h"
+
+namespace xauto::launch {
+
+inline constexpr std::uint32_t kSystemVersion = 1;
+inline constexpr const char* kSystemSocket = "/run/xauto/coordinator.sock";
+inline constexpr std::size_t kMaxLeaseXpus = 64;
+inline constexpr std::size_t kMaxLeaseName = 64;
+inline constexpr std::size_t kDemandPiece = 32 * 1024;  ///< of all packets but the last
+inline constexpr std::size_t kMaxDemandBytes = 8u << 20;
+
+enum class SystemWord : std::uint32_t {
+  kJoin = 0x10,
+  kAdmitted = 0x11,
+  kNotAdmitted = 0x12,
+};
+
+struct JoinXpu {
+  char id[kMaxLeaseName] = {};                  ///< of the platform that the demand is of, "cpu0"
+  char hardware[coord::kMaxHardwareName] = {};  ///< what that is on this machine, "core3"
+  std::uint32_t discipline = 0;                 ///< xauto::Discipline
+  std::int32_t levels = 0;                      ///< of Discipline::kLevels
+};
+
+struct Join {
+  std::uint32_t kind = static_cast<std::uint32_t>(SystemWord::kJoin);
+  std::uint32_t version = kSystemVersion;
+  char app[kMaxLeaseName] = {};
+  std::uint32_t num_xnodes = 0;
+  std::uint32_t num_xpus = 0;
+  std::uint32_t demand_bytes = 0;
+  std::uint32_t pad = 0;
+  JoinXpu xpus[kMaxLeaseXpus] = {};
+};
+
+struct Admitted {
+  std::uint32_t kind = static_cast<std::uint32_t>(SystemWord::kAdmitted);
+  std::uint32_t lease = 0;
+  std::uint64_t secret = 0;
+  std::uint32_t first_xnode = 0;
+  std::uint32_t num_xnodes = 0;
+};
+
+struct NotAdmitted {
+  std::uint32_t kind = static_cast<std::uint32_t>(SystemWord::kNotAdmitted);
+  char reason[1020] = {};
+};
+
+static_assert(std::is_trivially_copyable_v<Join> &&
+              sizeof(Join) == 88 + kMaxLeaseXpus * sizeof(JoinXpu));
+static_assert(std::is_trivially_copyable_v<Admitted> && sizeof(Admitted) == 24);
+static_assert(std::is_trivially_copyable_v<NotAdmitted> && sizeof(NotAdmitted) == 1024);
+
+}  // namespace xauto::launch

@@ -1,0 +1,322 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "launch/system_service.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+#include <sys/random.h>
+#include <sys/socket.h>
+
+#include "base/clock.h"
+#include "base/socket.h"
+#include "coord/shm_layout.h"
+#include "model/json_value.h"
+
+namespace xauto::launch {
+namespace {
+
+constexpr std::size_t kMaxGuests = 256;
+constexpr std::size_t kMaxLeases = 64;
+constexpr std::int64_t kGuestNs =
+    2'000'000'000;  ///< between two packets of one that has not said all
+constexpr int kServiceLookMs = 200;
+
+template <std::size_t Bytes>
+bool ends(const char (&text)[Bytes]) {
+  return text[0] != '\0' && std::memchr(text, '\0', Bytes) != nullptr;
+}
+
+void refuse_worker(int socket, const std::string& why) {
+  coord::Refused refused;
+  std::strncpy(refused.reason, why.c_str(), sizeof refused.reason - 1);
+  (void)send_packet(socket, &refused, sizeof refused);
+}
+
+std::string of_uid(uid_t uid) {
+  return " of uid " + std::to_string(uid);
+}
+
+}  // namespace
+
+SystemService::SystemService(SystemOptions options)
+    : options_(std::move(options)), daemons_(options_.bin, notes_), refusals_("system") {}
+
+SystemService::~SystemService() {
+  daemons_.stop(kGraceMs);
+}
+
+void SystemService::run(int stop_fd) {
+  thread_.check();
+  for (;;) {
+    std::vector<pollfd> fds = {{stop_fd, POLLIN, 0}, {options_.listener.get(), POLLIN, 0}};
+    for (const auto& [fd, guest] : guests_) fds.push_back({fd, POLLIN, 0});
+    for (const auto& [number, lease] : leases_) fds.push_back({lease.socket.get(), POLLIN, 0});
+    const std::size_t clients = fds.size();
+    daemons_.add_to(fds);
+    poll(fds.data(), fds.size(), kServiceLookMs);
+    if (fds[0].revents != 0) return;
+    if (fds[1].revents != 0) accept_guests();
+    for (std::size_t i = 2; i < clients; ++i)
+      if (fds[i].revents != 0) (void)hear(fds[i].fd);
+    close_late_guests(now_ns());
+    (void)daemons_.look_after(now_ns());
+  }
+}
+
+// ---- who connects -------------------------------------------------------------------------------
+
+void SystemService::accept_guests() {
+  for (;;) {
+    UniqueFd socket(accept4(options_.listener.get(), nullptr, nullptr, SOCK_CLOEXEC));
+    if (!socket) return;
+    const auto who = peer_of(socket.get());
+    if (who) (void)adopt(std::move(socket), who->uid);
+  }
+}
+
+int SystemService::adopt(UniqueFd socket, uid_t uid) {
+  thread_.check();
+  if (guests_.size() >= kMaxGuests) {
+    refusals_.tell("refused a connection" + of_uid(uid) + ": " + std::to_string(kMaxGuests) +
+                       " have not said yet what they want",
+                   now_ns());
+    return -1;
+  }
+  const int fd = socket.get();
+  Guest& guest = guests_[fd];
+  guest = Guest{.socket = std::move(socket), .uid = uid, .join = {}, .demand = {}};
+  guest.until_ns = now_ns() + kGuestNs;
+  return fd;
+}
+
+void SystemService::close_late_guests(std::int64_t now) {
+  std::erase_if(guests_, [&](const auto& entry) { return now > entry.second.until_ns; });
+}
+
+bool SystemService::hear(int fd) {
+  thread_.check();
+  if (const auto guest = guests_.find(fd); guest != guests_.end()) {
+    if (hear_guest(guest->second)) return true;
+    guests_.erase(fd);
+    return false;
+  }
+  for (const auto& [number, lease] : leases_) {
+    if (lease.socket.get() != fd) continue;
+    end(number);  // whatever it says: there is nothing more to be said
+    return false;
+  }
+  return false;
+}
+
+/// False: it has no more to do with us.
+bool SystemService::hear_guest(Guest& guest) {
+  std::string packet(std::max({kDemandPiece, sizeof(Join), sizeof(coord::Attach)}), '\0');
+  const int fd = guest.socket.get();
+  const auto size = receive_packet(fd, packet.data(), packet.size());
+  if (!size) return false;
+  packet.resize(*size);
+  guest.until_ns = now_ns() + kGuestNs;
+  if (guest.join) return take_piece(guest, packet);
+  std::uint32_t kind = 0;
+  if (packet.size() < sizeof kind) return false;
+  std::memcpy(&kind, packet.data(), sizeof kind);
+  if (kind == static_cast<std::uint32_t>(coord::MessageKind::kStatus)) {
+    const std::string text = status();
+    (void)send_packet(fd, text.data(), text.size());
+    return false;
+  }
+  if (kind == static_cast<std::uint32_t>(coord::MessageKind::kAttach) &&
+      packet.size() == sizeof(coord::Attach)) {
+    coord::Attach attach;
+    std::memcpy(&attach, packet.data(), sizeof attach);
+    hand_on(std::move(guest.socket), attach);
+    return false;
+  }
+  if (kind != static_cast<std::uint32_t>(SystemWord::kJoin) || packet.size() != sizeof(Join))
+    return false;
+  std::memcpy(&guest.join.emplace(), packet.data(), sizeof(Join));
+  const Status fault = fault_of(*guest.join);
+  if (!fault) {
+    NotAdmitted answer;
+    std::strncpy(answer.reason, fault.error().what.c_str(), sizeof answer.reason - 1);
+    (void)send_packet(fd, &answer, sizeof answer);
+  }
+  return fault.has_value();
+}
+
+// ---- a run joins and leaves ---------------------------------------------------------------------
+
+Status SystemService::fault_of(const Join& join) const {
+  if (join.version != kSystemVersion)
+    return fail(ErrorCode::kInvalid, "speaks version " + std::to_string(join.version) +
+                                         ", the machine's service version " +
+                                         std::to_string(kSystemVersion) + ": use one build");
+  const bool bounded = join.num_xnodes > 0 && join.num_xnodes <= coord::kMaxSharedXNodes &&
+                       join.num_xpus > 0 && join.num_xpus <= kMaxLeaseXpus &&
+                       join.demand_bytes > 0 && join.demand_bytes <= kMaxDemandBytes;
+  if (!bounded || !ends(join.app) || !fault_of_name(join.app).empty())
+    return fail(ErrorCode::kInvalid, "asks for more than a run can, or has no name");
+  for (std::uint32_t i = 0; i < join.num_xpus; ++i) {
+    const JoinXpu& xpu = join.xpus[i];
+    if (!ends(xpu.id) || !ends(xpu.hardware) || !fault_of_name(xpu.hardware).empty() ||
+        std::strchr(xpu.hardware, '/') != nullptr ||
+        xpu.discipline > static_cast<std::uint32_t>(Discipline::kLevels))
+      return fail(ErrorCode::kInvalid, "names an XPU that can be none");
+    if (xpu.discipline == static_cast<std::uint32_t>(Discipline::kKernel))
+      return fail(ErrorCode::kInvalid, "wants an XPU that the kernel schedules to be shared");
+  }
+  if (leases_.size() >= kMaxLeases)
+    return fail(ErrorCode::kUnavailable, "as many runs as can be are there");
+  return {};
+}
+
+/// False: it has no more to do with us, or is a lease by now.
+bool SystemService::take_piece(Guest& guest, const std::string& piece) {
+  guest.demand += piece;
+  if (guest.demand.size() < guest.join->demand_bytes) return piece.size() == kDemandPiece;
+  if (guest.demand.size() > guest.join->demand_bytes) return false;
+  const auto number = admit(guest);
+  if (!number) {
+    NotAdmitted answer;
+    std::strncpy(answer.reason, number.error().what.c_str(), sizeof answer.reason - 1);
+    (void)send_packet(guest.socket.get(), &answer, sizeof answer);
+    log::info("app '{}'{} was not admitted: {}", guest.join->app, of_uid(guest.uid),
+              number.error().what);
+    return false;
+  }
+  Leased& lease = leases_.at(*number);
+  const Admitted answer{.lease = *number,
+                        .secret = lease.secret,
+                        .first_xnode = lease.first_xnode,
+                        .num_xnodes = lease.num_xnodes};
+  lease.socket = std::move(guest.socket);
+  log::info("app '{}'{} was admitted", lease.tenant.app, of_uid(lease.uid));
+  if (!send_packet(lease.socket.get(), &answer, sizeof answer)) end(*number);
+  return false;
+}
+
+Result<std::uint32_t> SystemService::admit(Guest& guest) {
+  const Join& join = *guest.join;
+  Leased lease{.uid = guest.uid, .num_xnodes = join.num_xnodes, .tenant = {}};
+  lease.tenant = {.app = join.app, .demand = std::move(guest.demand), .hardware = {}};
+  for (std::uint32_t i = 0; i < join.num_xpus; ++i)
+    lease.tenant.hardware[join.xpus[i].id] = join.xpus[i].hardware;
+  std::vector<const Tenant*> there;
+  for (const auto& [number, other] : leases_) there.push_back(&other.tenant);
+  XAUTO_TRY(options_.admission(there, lease.tenant));
+  const auto first = room_for(join.num_xnodes);
+  if (!first) return fail(ErrorCode::kUnavailable, "the runs that are there have too many XNodes");
+  lease.first_xnode = *first;
+  if (getrandom(&lease.secret, sizeof lease.secret, 0) != sizeof lease.secret)
+    return fail(ErrorCode::kIo, std::string("getrandom: ") + strerror(errno));
+  if (Status shared = share(join); !shared) {
+    stop_unused();
+    return tl::unexpected<Error>(std::move(shared).error());
+  }
+  leases_.emplace(++last_lease_, std::move(lease));
+  return last_lease_;
+}
+
+/// A coordinator for each XPU of a run.
+Status SystemService::share(const Join& join) {
+  for (std::uint32_t i = 0; i < join.num_xpus; ++i) {
+    const std::string hardware = join.xpus[i].hardware;
+    const auto discipline = static_cast<Discipline>(join.xpus[i].discipline);
+    const int levels = join.xpus[i].levels;
+    if (const auto found = shared_.find(hardware); found != shared_.end()) {
+      if (found->second.discipline != discipline || found->second.levels != levels)
+        return fail(ErrorCode::kUnavailable,
+                    hardware + " is shared as " + to_string(found->second.discipline) +
+                        " there, and is " + to_string(discipline) + " to this run");
+      continue;
+    }
+    XAUTO_ASSIGN(UniqueFd control, daemons_.start_shared(hardware, discipline, levels));
+    shared_[hardware] = {.discipline = discipline, .levels = levels, .control = std::move(control)};
+  }
+  return {};
+}
+
+/// The first XNode of a run with so many: runs' numbers do not overlap.
+std::optional<std::uint32_t> SystemService::room_for(std::uint32_t num_xnodes) const {
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> taken;
+  for (const auto& [number, lease] : leases_)
+    taken.emplace_back(lease.first_xnode, lease.first_xnode + lease.num_xnodes);
+  std::sort(taken.begin(), taken.end());
+  std::uint32_t first = 0;
+  for (const auto& [begin, end] : taken) {
+    if (begin - first >= num_xnodes) return first;
+    first = end;
+  }
+  if (coord::kMaxSharedXNodes - first >= num_xnodes) return first;
+  return std::nullopt;
+}
+
+void SystemService::hand_on(UniqueFd worker, const coord::Attach& attach) {
+  const auto lease = leases_.find(attach.lease);
+  const std::string hardware = ends(attach.hardware) ? attach.hardware : "";
+  const auto shared = shared_.find(hardware);
+  if (attach.version != coord::kProtocolVersion)
+    return refuse_worker(worker.get(), "another protocol version");
+  if (lease == leases_.end() || lease->second.secret != attach.secret)
+    return refuse_worker(worker.get(), "the run has no lease here: its service has begun again");
+  const auto& has = lease->second.tenant.hardware;
+  if (shared == shared_.end() ||
+      std::none_of(has.begin(), has.end(), [&](const auto& one) { return one.second == hardware; }))
+    return refuse_worker(worker.get(), "the run has joined without this XPU");
+  const coord::Adopt adopt{.lease = attach.lease,
+                           .first_xnode = lease->second.first_xnode,
+                           .num_xnodes = lease->second.num_xnodes};
+  if (!send_packet(shared->second.control.get(), &adopt, sizeof adopt, {worker.get()}))
+    refuse_worker(worker.get(), "the coordinator of this XPU is gone");
+}
+
+/// The run has gone: its workers, if some still live, are nobody's.
+void SystemService::end(std::uint32_t number) {
+  const auto found = leases_.find(number);
+  const Leased lease = std::move(found->second);
+  leases_.erase(found);
+  const coord::Adopt over{.kind = static_cast<std::uint32_t>(coord::MessageKind::kEndLease),
+                          .lease = number};
+  for (const auto& [xpu, hardware] : lease.tenant.hardware)
+    if (const auto shared = shared_.find(hardware); shared != shared_.end())
+      (void)send_packet(shared->second.control.get(), &over, sizeof over);
+  stop_unused();
+  log::info("app '{}'{} has left", lease.tenant.app, of_uid(lease.uid));
+}
+
+void SystemService::stop_unused() {
+  for (auto shared = shared_.begin(); shared != shared_.end();) {
+    if (used(shared->first)) {
+      ++shared;
+      continue;
+    }
+    daemons_.end_shared(shared->first);
+    shared = shared_.erase(shared);
+  }
+}
+
+std::string SystemService::status() const {
+  Json apps = Json::array();
+  for (const auto& [number, lease] : leases_) {
+    Json xpus = Json::array();
+    for (const auto& [xpu, hardware] : lease.tenant.hardware) xpus.push_back(hardware);
+    apps.push_back({{"app", lease.tenant.app},
+                    {"uid", lease.uid},
+                    {"first_xnode", lease.first_xnode},
+                    {"xnodes", lease.num_xnodes},
+                    {"xpus", xpus}});
+  }
+  return Json({{"apps", apps}, {"notes", notes_}}).dump();
+}
+
+bool SystemService::used(const std::string& hardware) const {
+  return std::any_of(leases_.begin(), leases_.end(), [&](const auto& lease) {
+    const auto& has = lease.second.tenant.hardware;
+    return std::any_of(has.begin(), has.end(),
+                       [&](const auto& one) { return one.second == hardware; });
+  });
+}
+
+}  // namespace xauto::launch

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// One coordinator per XPU instance of the machine, for all runs that ask: `xauto-coordinator --system`. A run joins
+// with what its policy demands of each XPU, and is admitted if that and the demands of all who are there fit; who is
+// there keeps every claim (docs/keys.md, "Apps compose"). The run leaves by closing its connection, or by dying.
+// Coordinators are children as those of a run are (daemons.h), each from the first run that uses its XPU to the last.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <poll.h>
+
+#include <xauto/result.h>
+
+#include "base/log.h"
+#include "base/thread_safety.h"
+#include "base/unique_fd.h"
+#include "coord/door.h"
+#include "launch/daemons.h"
+#include "launch/system_protocol.h"
+
+namespace xauto::launch {
+
+/// What one run wants of the machine.
+struct Tenant {
+  std::string app;
+  std::string demand;                           ///< text of a demand file
+  std::map<std::string, std::string> hardware;  ///< XPU of that file -> what it is here
+};
+/// Whether `comes` may come to those who are there; the error says why not. Throws nothing; takes seconds at most.
+using Admission =
+    std::function<Status(const std::vector<const Tenant*>& there, const Tenant& comes)>;
+
+struct SystemOptions {
+  std::string bin;    ///< folder with xauto-coordinator
+  UniqueFd listener;  ///< listens
+  Admission admission;
+};
+
+/// Threads: one, which must live as long as the service.
+class SystemService {
+ public:
+  explicit SystemService(SystemOptions options);
+  ~SystemService();
+  SystemService(const SystemService&) = delete;
+  SystemService& operator=(const SystemService&) = delete;
+
+  /// Serves until `stop_fd` becomes readable.
+  void run(int stop_fd);
+
+  /// A connection that was accepted elsewhere, and what comes over it; for the fuzzer. False: it was closed.
+  int adopt(UniqueFd socket, uid_t uid);
+  bool hear(int connection);
+
+ private:
+  /// Who has connected, and has not said all.
+  struct Guest {
+    UniqueFd socket;
+    uid_t uid = 0;
+    std::int64_t until_ns = 0;  ///< then it is closed
+    std::optional<Join> join;
+    std::string demand;  ///< what has come of it
+  };
+  struct Leased {
+    UniqueFd socket;
+    uid_t uid = 0;
+    std::uint64_t secret = 0;
+    std::uint32_t first_xnode = 0, num_xnodes = 0;
+    Tenant tenant;
+  };
+  struct Shared {
+    Discipline discipline = Discipline::kGate;
+    int levels = 0;
+    UniqueFd control;
+  };
+
+  void accept_guests();
+  void close_late_guests(std::int64_t now_ns);
+  [[nodiscard]] bool hear_guest(Guest& guest);
+  [[nodiscard]] bool take_piece(Guest& guest, const std::string& piece);
+  [[nodiscard]] Status fault_of(const Join& join) const;
+  [[nodiscard]] Result<std::uint32_t> admit(Guest& guest);
+  [[nodiscard]] Status share(const Join& join);
+  [[nodiscard]] std::optional<std::uint32_t> room_for(std::uint32_t num_xnodes) const;
+  void hand_on(UniqueFd worker, const coord::Attach& attach);
+  void end(std::uint32_t lease);
+  void stop_unused();
+  [[nodiscard]] bool used(const std::string& hardware) const;
+  [[nodiscard]] std::string status() const;
+
+  OneThread thread_;
+  SystemOptions options_;
+  std::vector<std::string> notes_;
+  Daemons daemons_;
+  std::map<int, Guest> guests_;             ///< by descriptor
+  std::map<std::uint32_t, Leased> leases_;  ///< by number
+  std::map<std::string, Shared> shared_;    ///< by hardware
+  std::uint32_t last_lease_ = 0;
+  log::Refusals refusals_;
+};
+
+}  // namespace xauto::launch
