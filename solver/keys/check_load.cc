@@ -244,6 +244,7 @@ class Load {
 
   Status add_others() {
     int items = 0;
+    __int128 work = 0;
     for (std::size_t k = 0; k < beside_.demands.size(); ++k) {
       const Demand& demand = beside_.demands[k];
       const Ticks factor = w_.scale / demand.ticks_per_us;
@@ -266,6 +267,8 @@ class Load {
                                Window{j.ready * factor, j.key * factor, j.start * factor},
                                j.work * factor, j.charged});
             g.longest = std::max(g.longest, (j.key - j.start) * factor);
+            work += g.items.back().work;
+            if (work > kMaxTicks) return does_not_fit();
           }
           groups_.push_back(std::move(g));
         }
@@ -332,6 +335,7 @@ class Load {
         lags_of = i.xnode;
         const auto over_other = [&](const Group& other) {
           if (g.other > 0 && g.other == other.other) return false;  // that is in its file
+          if (g.other != other.other) return other.longest > i.window.d - i.window.a;
           if (g.urgent || other.urgent) return may_preempt_urgent(i, other);
           return &other != &g && may_preempt(i, g, other);
         };

@@ -87,6 +87,10 @@ Status refuse_together(const SolveFlags& flags, const Apps& apps) {
   if (!flags.assume.empty() && flags.beside.given())
     return fail(ErrorCode::kInvalid, "does not go with --beside and --reserve", "--assume",
                 "leave it out: changes are looked at for the app alone");
+  if (apps.all.one_at_a_time && !flags.demand_out.empty())
+    return fail(ErrorCode::kInvalid,
+                "sources without a rate release as soon as they can: no demand bounds that",
+                "--demand-out", "state how often they release at most: rate_hz");
   return one_for_each(apps, flags.outs, "--out");
 }
 

@@ -37,6 +37,7 @@ constexpr double kForUncertified = 0.4, kForRemedies = 0.2;
 /// Of the time limit more, for the policy of the app alone where none is found beside others; and for the lower bounds
 /// of each of several apps.
 constexpr double kForAlone = 0.2, kForBoundsAlone = 0.05;
+constexpr std::size_t kMostFails = 4;  ///< XPUs that are told
 
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
@@ -474,8 +475,12 @@ tl::unexpected<Error> does_not_fit(const AppSpec& app, const Platform& platform,
   alone.time_limit_s = kForAlone * asked.time_limit_s;
   if (const auto answer = keys::solve(app, platform, alone);
       answer && answer->outcome == keys::Outcome::kPolicy)
-    if (const auto fits = keys::check(app, platform, answer->policy, asked.beside); !fits)
-      why = "the best alone fails: " + fits.error().where + ": " + fits.error().what;
+    if (const auto report = keys::examine(app, platform, answer->policy, asked.beside); report) {
+      std::vector<std::string> fails;  // XPUs
+      for (const Error& lie : report->lies)
+        if (fails.size() < kMostFails) fails.push_back(lie.where + ": " + lie.what);
+      why = fmt::format("the best alone fails: {}", fmt::join(fails, "; "));
+    }
   return fail(ErrorCode::kInfeasible,
               fmt::format("no policy was found {} in {:g} s; {}", name_of_all(asked.beside),
                           asked.time_limit_s, why),

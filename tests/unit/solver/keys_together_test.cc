@@ -180,6 +180,87 @@ TEST(KeysTogether, AReserveIsForWhoeverAsksForNoMore) {
   EXPECT_GE(met, 1000) << kept;
 }
 
+/// The solver's own: all at once; or one with a reserve, and the other one beside it.
+TEST(KeysTogether, WhatTheSolverPlansHolds) {
+  int together = 0, beside = 0, refused = 0;
+  Options options;
+  options.max_evaluations = 300;
+  options.time_limit_s = 60;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    const attack::Pairs pairs = attack::random_pairs(seed);
+    if (!pairs.accepted) continue;
+    std::vector<Case> each = pairs.accepted->each;
+    const auto attacked = [&](const attack::Pair& pair) {
+      const Case& c = pair.together;
+      const auto found =
+          attack::attack(c.app, c.platform, c.policy, {10'000, seed, {}, pair.app_of});
+      EXPECT_FALSE(found.broken()) << seed << found.late << found.chain;
+    };
+    options.beside = {};
+    const auto all = solve(pairs.accepted->together.app, each[0].platform, options);
+    ASSERT_TRUE(all) << all.error().to_string();
+    if (all->outcome == Outcome::kPolicy) {
+      const auto parts = split_policy({each[0].app, each[1].app}, all->policy);
+      for (const int k : {0, 1}) each[at(k)].policy = parts[at(k)];
+      attacked(pair_of(each[0], each[1]));
+      ++together;
+    }
+    options.beside = {{}, 25};
+    const auto first = solve(each[0].app, each[0].platform, options);
+    if (!first || first->outcome != Outcome::kPolicy) continue;
+    each[0].policy = first->policy;
+    EXPECT_TRUE(accepted_beside(each[0], {{}, 25})) << seed;
+    options.beside = {{demand(each[0])}, 0};
+    const auto second = solve(each[1].app, each[0].platform, options);
+    ASSERT_TRUE(second) << second.error().to_string();
+    ++(second->outcome == Outcome::kPolicy ? beside : refused);
+    if (second->outcome != Outcome::kPolicy) continue;
+    each[1].policy = second->policy;
+    EXPECT_TRUE(accepted_beside(each[1], options.beside)) << seed;
+    const attack::Pair pair = pair_of(each[0], each[1]);
+    EXPECT_TRUE(pair.accepted) << seed;
+    attacked(pair);
+  }
+  std::printf("%d together, %d beside, %d not found\n", together, beside, refused);
+  EXPECT_GE(together, 15);
+  EXPECT_GE(beside, 8);
+}
+
+/// Whatever a file says, it is an answer or an error.
+TEST(KeysTogether, ADemandOfAnythingIsNoCrash) {
+  const Case c = one("a", 60, 0, 100, kCosts40);
+  const DemandSequence normal = demand(c).xpus[0].sequences[0];
+  for (std::uint64_t seed = 1; seed <= 300; ++seed) {
+    Random random(seed);
+    const auto any = [&](std::int64_t most) {
+      return static_cast<std::int64_t>(random.below(3) == 0 ? random.below(200)
+                                                            : random.next() >> 11) %
+             most;
+    };
+    Demand d = demand(c);
+    d.ticks_per_us = 1 + any(7);
+    d.xpus[0].sequences.clear();
+    for (int k = 0; k < 3; ++k) {
+      DemandSequence s = normal;
+      s.period = 1 + any(kMaxDemandTicks);
+      s.ppm = random.below(2) == 0 ? 0 : any(kMaxPpm);
+      s.once = random.below(3) == 0;
+      s.slip = s.once ? any(kMaxDemandTicks) : 0;
+      s.jobs.clear();
+      for (int n = 0; n < 4; ++n) {
+        const std::int64_t ready = any(kMaxDemandTicks - 1);
+        s.jobs.push_back({any(s.period), ready, random.below(2) == 0 ? 0 : ready,
+                          ready + 1 + any(kMaxDemandTicks - ready - 1), 1 + any(kMaxDemandTicks),
+                          random.below(2) == 0});
+      }
+      d.xpus[0].sequences.push_back(s);
+    }
+    ASSERT_TRUE(validate(d));
+    const bool by_check = accepted_beside(c, {{d}, static_cast<int>(random.below(50))});
+    EXPECT_TRUE(by_check || !certified_beside(c, {{d}, 50})) << seed;
+  }
+}
+
 /// A file says as much as the app does; where jobs are not preempted, or have levels, it may refuse more.
 TEST(KeysTogether, ADemandSaysWhatTheAppDoes) {
   int equal = 0, refused = 0, beyond = 0, weaker = 0;
