@@ -65,13 +65,22 @@ class Together(unittest.TestCase):
         said = self.done(*SOLVE, "--app", "busy.json", "--beside", "demand.json", "--out", "b.json", status=1)
         self.assertRegex(said, r"no policy was found beside 1 demand .*XPU gpu0.*(too much|load it by)")
         self.assertFalse((self.at / "b.json").exists())
+        # To the check it is true, and asked for too much.
+        said = xauto("check", "--app", DRIVING, "--policy", "d.json", "--reserve", 30, cwd=self.at)
+        self.assertEqual(said.returncode, 1, said.stderr)
+        self.assertRegex(said.stdout, r"MISSED with 30 % of each XPU left: XPU gpu0")
+        self.assertIn("d.json tells the truth: ", said.stdout)
+        told = json.loads(xauto("check", "--app", DRIVING, "--policy", "d.json", "--reserve", 30, "--json", cwd=self.at).stdout)
+        self.assertTrue(told["truthful"] and told["missed"] and not told["lies"])
 
     def test_what_does_not_go_together_is_said(self):
         self.done(*SOLVE, "--app", "cabin.json", "--out", "c.json", "--demand-out", "demand.json")
+        self.done(*SOLVE, "--app", APP, "--out", "one.json")
         for arguments, said in (
                 ((*SOLVE, "--app", "cabin.json", "--app", "cabin.json"), "two apps are called 'cabin'"),
                 ((*SOLVE, "--app", "cabin.json", "--app", APP), "its sources have no rate"),
                 ((*SOLVE, "--app", APP, "--beside", "demand.json"), "its sources have no rate"),
+                (("check", "--app", APP, "--policy", "one.json", "--reserve", 5), "its sources have no rate"),
                 ((*SOLVE, "--app", APP, "--demand-out", "x.json"), "no demand bounds that"),
                 ((*SOLVE, "--app", DRIVING, "--app", "cabin.json", "--out", "x.json"), "--out: 1 files for 2 apps"),
                 ((*SOLVE, "--app", DRIVING, "--app", "cabin.json", "--hint", "c.json"), "does not go with several --app"),

@@ -915,6 +915,23 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Pol
   return status;
 }
 
+namespace {
+
+/// `report` is of the policy alone. Whether it holds beside others, too: then it is of that, else what fails is missed.
+Result<bool> examine_beside(const AppSpec& app, const Platform& platform, const Policy& policy,
+                            const Beside& beside, keys::CheckReport& report,
+                            std::vector<std::string>& missed) {
+  if (beside.nobody() || !report.lies.empty()) return report.lies.empty();
+  XAUTO_ASSIGN(keys::CheckReport with, keys::examine(app, platform, policy, beside));
+  for (const Error& lie : with.lies)
+    missed.push_back(name_of_all(beside) + ": " + lie.where + ": " + lie.what);
+  if (!with.lies.empty()) return false;
+  report = std::move(with);
+  return true;
+}
+
+}  // namespace
+
 Result<int> check_policy(const Apps& apps, const Platform& platform,
                          const std::vector<std::string>& paths, const solver::Objectives& asked,
                          const BesideFlags& others, const std::string& demand,
@@ -922,7 +939,7 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
   const AppSpec& app = apps.all;
   const std::string path = fmt::format("{}", fmt::join(paths, ", "));
   XAUTO_ASSIGN(const Policy policy, load_policies(apps, paths, platform));
-  XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
+  XAUTO_ASSIGN(std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
   XAUTO_ASSIGN(const Beside beside, load_beside(others, platform));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--demand-out", demand));
@@ -930,9 +947,10 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
     return fail(ErrorCode::kInvalid, "is not certified: nothing bounds what it asks of an XPU",
                 path, "leave --beside, --reserve and --demand-out out");
   if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
-  XAUTO_ASSIGN(keys::CheckReport report, keys::examine(app, platform, policy, beside));
+  XAUTO_ASSIGN(keys::CheckReport report, keys::examine(app, platform, policy));
+  XAUTO_ASSIGN(const bool fits, examine_beside(app, platform, policy, beside, report, broken));
   for (const std::string& file : others.demands)
-    report.taken.push_back(file + ": that the apps which it is of ask for no more");
+    if (fits) report.taken.push_back(file + ": that the apps which it is of ask for no more");
   std::vector<std::string> lies;
   for (const Error& lie : report.lies) lies.push_back(lie.to_string());
   std::vector<std::string> missed = broken;
@@ -991,9 +1009,10 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
   for (const std::string& taken : report.taken)
     std::cout << wrapped("  taken  " + taken, 9) << "\n";
   std::cout << (lies.empty()
-                    ? fmt::format("\n{} {} the truth{}{}: {}.\n", path,
-                                  apps.several() ? "tell" : "tells", beside.nobody() ? "" : ", ",
-                                  name_of_all(beside), scope(apps, !beside.demands.empty()))
+                    ? fmt::format(
+                          "\n{} {} the truth{}{}: {}.\n", path, apps.several() ? "tell" : "tells",
+                          beside.nobody() || !fits ? "" : ", ", fits ? name_of_all(beside) : "",
+                          scope(apps, fits && !beside.demands.empty()))
                     : words_of_lies(path, lies.size()))
             << words_of_missed(missed);
   if (lies.empty()) XAUTO_TRY(write_demand(app, platform, policy, demand, outputs));
