@@ -917,6 +917,26 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Pol
 
 namespace {
 
+/// Each chain with what was derived, what is claimed, and its worst path.
+void show_chains(const keys::CheckReport& report,
+                 const std::vector<std::vector<std::string>>& ways) {
+  if (!report.chains.empty())
+    std::cout << "\n"
+              << row_of("chain", kNameColumns)
+              << fmt::format("{:>11}{:>11}\n", "derived", "claimed");
+  for (std::size_t c = 0; c < report.chains.size(); ++c) {
+    const keys::ChainProof& chain = report.chains[c];
+    std::cout << row_of(chain.name, kNameColumns)
+              << fmt::format("{:>11}{:>11}{}\n", ms(chain.derived_us), ms(chain.claimed_us),
+                             chain.late() ? "   MISSED" : "");
+    if (chain.urgent_us)
+      std::cout << row_of("  urgent", kNameColumns)
+                << fmt::format("{:>11}{:>11}\n", ms(*chain.urgent_us),
+                               ms(chain.claimed_urgent_us.value_or(0)));
+    std::cout << wrapped(fmt::format("    along {}", fmt::join(ways[c], " > ")), 6) << "\n";
+  }
+}
+
 /// `report` is of the policy alone. Whether it holds beside others, too: then it is of that, else what fails is missed.
 Result<bool> examine_beside(const AppSpec& app, const Platform& platform, const Policy& policy,
                             const Beside& beside, keys::CheckReport& report,
@@ -990,21 +1010,7 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
   for (const std::string& lie : lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
   if (!report.windows.empty())
     std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
-  if (!report.chains.empty())
-    std::cout << "\n"
-              << row_of("chain", kNameColumns)
-              << fmt::format("{:>11}{:>11}\n", "derived", "claimed");
-  for (std::size_t c = 0; c < report.chains.size(); ++c) {
-    const keys::ChainProof& chain = report.chains[c];
-    std::cout << row_of(chain.name, kNameColumns)
-              << fmt::format("{:>11}{:>11}{}\n", ms(chain.derived_us), ms(chain.claimed_us),
-                             chain.late() ? "   MISSED" : "");
-    if (chain.urgent_us)
-      std::cout << row_of("  urgent", kNameColumns)
-                << fmt::format("{:>11}{:>11}\n", ms(*chain.urgent_us),
-                               ms(chain.claimed_urgent_us.value_or(0)));
-    std::cout << wrapped(fmt::format("    along {}", fmt::join(ways[c], " > ")), 6) << "\n";
-  }
+  show_chains(report, ways);
   for (const std::string& wish : broken) std::cout << wrapped("  MISSED " + wish, 9) << "\n";
   for (const std::string& taken : report.taken)
     std::cout << wrapped("  taken  " + taken, 9) << "\n";
