@@ -11,6 +11,7 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/demand.h"
 #include "model/emulation_script.h"
 #include "model/keys.h"
 #include "model/platform.h"
@@ -49,6 +50,8 @@ inline constexpr std::int64_t kAppVersion = 3;
 [[nodiscard]] Result<Tables> parse_tables(std::string_view text, std::string_view origin,
                                           const AppSpec& app, const Platform& platform,
                                           Keys* keys = nullptr);
+[[nodiscard]] Result<Demand> parse_demand(std::string_view text, std::string_view origin,
+                                          Keys* keys = nullptr);
 [[nodiscard]] Result<EmulationScript> parse_emulation_script(std::string_view text,
                                                              std::string_view origin,
                                                              const Platform& platform,
@@ -61,6 +64,7 @@ inline constexpr std::int64_t kAppVersion = 3;
                                   const Platform& platform);
 [[nodiscard]] std::string to_json(const Scenarios& scenarios);
 [[nodiscard]] std::string to_json(const EmulationScript& script);
+[[nodiscard]] std::string to_json(const Demand& demand);
 [[nodiscard]] std::string to_json(const Tables& tables, const AppSpec& app,
                                   const Platform& platform);
 
@@ -80,6 +84,8 @@ inline constexpr std::int64_t kAppVersion = 3;
 [[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,
                                          const Platform& platform);
 
+/// Also refused: its XPUs are not those of the platform.
+[[nodiscard]] Result<Demand> load_demand(const std::string& path, const Platform& platform);
 [[nodiscard]] Result<Scenarios> load_scenarios(const std::string& path, const AppSpec& app,
                                                const Platform& platform);
 [[nodiscard]] Result<Tables> load_tables(const std::string& path, const AppSpec& app,

@@ -136,12 +136,49 @@ Pattern urgent_pattern(const Problem& p, const Component& c, int m, const std::v
     const bool pays = charges.urgent_preempts[at(i)] != 0;
     earliest = std::min(earliest, begin);
     latest = std::max(latest, begin);
-    g.jobs.push_back({begin, length, p.wcet(i, m) + (pays ? p.preempt[at(m)] : 0)});
+    g.jobs.push_back({begin, length, p.tested_work(i, m, pays)});
   }
   const bool deep = latest + g.slip - earliest > g.period - lost_in(g.period, g.ppm);
   if (deep) g.slip = 0;
   for (WindowedJob& job : g.jobs) job.arrival = deep ? 0 : job.arrival % g.period;
   return g;
+}
+
+/// Of another app's sequence: who preempts a job of this one, or of a third one, pays as well.
+Pattern pattern_of(const Problem& p, int m, const OtherSequence& other, Tick own_longest) {
+  const Tick longest = p.reserve_pct > 0 ? kForever : std::max(own_longest, other.beside);
+  const Tick cost = p.preemptive[at(m)] != 0 ? p.preempt[at(m)] : 0;
+  const DemandSequence& s = other.of;
+  Pattern g{s.period, s.ppm, s.slip, s.once, 0, {}};
+  for (const DemandJob& j : s.jobs) {
+    const bool pays = !j.charged && longest > j.key - j.ready;
+    g.deepest = std::max(g.deepest, j.key);
+    g.jobs.push_back({(j.release + j.ready) % s.period, j.key - j.ready,
+                      p.with_reserve(j.work + (pays ? cost : 0))});
+  }
+  return g;
+}
+
+/// Others' jobs on the XPU: patterns, and whom they block.
+void add_others(const Problem& p, int m, Tick own_longest, std::vector<Pattern>& patterns,
+                std::vector<Blocking>& blocking) {
+  const Tick cost = p.preemptive[at(m)] != 0 ? p.preempt[at(m)] : 0;
+  for (const OtherSequence& other : p.others[at(m)]) {
+    patterns.push_back(pattern_of(p, m, other, own_longest));
+    if (p.levels[at(m)] == kAnyLevels) continue;
+    for (const DemandJob& j : other.of.jobs)
+      blocking.push_back({j.key - j.start, p.with_reserve(j.work + (j.charged ? 0 : cost))});
+  }
+  // Of many jobs those that matter: none blocks for no longer, and no less, than another one.
+  std::sort(blocking.begin(), blocking.end(), [](const Blocking& a, const Blocking& b) {
+    return a.until != b.until ? a.until > b.until : a.work > b.work;
+  });
+  Tick most = 0;
+  std::erase_if(blocking, [&](const Blocking& b) {
+    const bool less = b.work <= most;
+    most = std::max(most, b.work);
+    return less;
+  });
 }
 
 }  // namespace
@@ -154,6 +191,10 @@ std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
     if ((d >= 0 && d != p.domain_of(i)) || p.urgent[at(i)] != 0) shared[at(xpu[at(i)])] = 1;
     d = p.domain_of(i);
   }
+  for (int m = 0; m < p.num_xpus; ++m)
+    if (domain[at(m)] >= 0 &&
+        (!p.others[at(m)].empty() || (p.reserve_pct > 0 && p.levels[at(m)] != kAnyLevels)))
+      shared[at(m)] = 1;
   return shared;
 }
 
@@ -167,6 +208,7 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
   // One per domain; of a clock that has been split one per component.
   std::vector<Pattern> patterns(p.domains.size() + p.components.size());
   std::vector<Blocking> blocking;
+  Tick own_longest = 0;
   for (int i = 0; i < p.num_xnodes; ++i) {
     if (xpu[at(i)] != m) continue;
     const Component& c = p.components[at(p.component_of[at(i)])];
@@ -177,18 +219,20 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
     Tick longest = 0;  // that it may block: of those that may have started as the last
     for (int n = 0; n < c.jobs; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
-      const Tick work = p.wcet(i, m) + (charges.preempts[s] != 0 ? p.preempt[at(m)] : 0);
+      const Tick work = p.tested_work(i, m, charges.preempts[s] != 0);
       g.deepest = std::max(g.deepest, w.d[s]);
+      own_longest = std::max(own_longest, w.d[s] - w.e[s]);
       longest = std::max(longest, w.d[s] - charges.last_start[s]);
       g.jobs.push_back(
           {(c.phase % g.period + n * c.period + w.a[s]) % g.period, w.d[s] - w.a[s], work});
     }
-    if (longest > 0) blocking.push_back({longest, work_of_blocker(p, i, m)});
+    if (longest > 0) blocking.push_back({longest, p.with_reserve(work_of_blocker(p, i, m))});
   }
   // None blocks for longer than the job whose place it takes: its e is earlier by no more than its
   // key.
   for (const Component& c : p.components)
     if (c.urgent_source >= 0) patterns.push_back(urgent_pattern(p, c, m, xpu, u, charges));
+  add_others(p, m, own_longest, patterns, blocking);
   std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
   return demand_fits(patterns, blocking, tightest);
 }
@@ -215,8 +259,7 @@ bool certify_xpu(const Problem& p, int m, const std::vector<int>& xpu, bool shar
     const Component& c = p.components[at(p.component_of[at(i)])];
     for (int n = 0; n < c.jobs; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
-      const Tick cost = charges.preempts[s] != 0 ? p.preempt[at(m)] : 0;
-      const Tick work = in_fast_time(p.wcet(i, m) + cost, ppm);
+      const Tick work = in_fast_time(p.tested_work(i, m, charges.preempts[s] != 0), ppm);
       const Tick slack = in_fast_time(charges.blocked_by[s], ppm) + pad;
       const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
       alone.add(release + w.a[s], release + w.d[s], work, slack, i);

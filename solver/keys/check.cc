@@ -37,6 +37,33 @@ void compare(const ChainClaim& claim, ChainProof& proof, CheckReport& report) {
                      claim.lower_bound_us, claim.worst_case_us));
 }
 
+tl::unexpected<Error> takes_all(const AppSpec& app) {
+  return fail(ErrorCode::kInvalid,
+              "its sources have no rate: it takes all of its XPUs that it gets, and nothing can be "
+              "claimed beside it",
+              "app '" + app.name + "'", "state how often its sources release at most: rate_hz");
+}
+
+/// What the ticks of a microsecond have to be a multiple of.
+Result<Ticks> ticks_beside(const AppSpec& app, const Platform& platform, const Beside& beside) {
+  Ticks ticks = 1;
+  if (beside.nobody()) return ticks;
+  if (app.one_at_a_time) return takes_all(app);
+  if (beside.reserve_pct < 0 || beside.reserve_pct > kMaxReservePct)
+    return fail(ErrorCode::kInvalid,
+                fmt::format("{} % is not from 0 to {} %", beside.reserve_pct, kMaxReservePct),
+                "reserve");
+  for (const Demand& demand : beside.demands) {
+    XAUTO_TRY(validate(demand));
+    XAUTO_TRY(validate_on(demand, platform));
+    ticks = lcm(ticks, demand.ticks_per_us);
+    if (ticks == 0)
+      return fail(ErrorCode::kInvalid, "the ticks of the demands have no multiple that fits",
+                  "demands", "state periods as ratios of smaller numbers");
+  }
+  return ticks;
+}
+
 /// Keeps a lie; what else is wrong is returned.
 Status keep_lie(const Error& error, CheckReport& report) {
   if (error.code != ErrorCode::kInfeasible) return tl::unexpected<Error>(error);
@@ -53,12 +80,14 @@ Status check_places(const AppSpec& app, const Platform& platform, const Policy& 
   return {};
 }
 
-Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const Policy& policy) {
+Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const Policy& policy,
+                            const Beside& beside) {
   if (!policy.certified)
     return fail(ErrorCode::kInvalid, "is not certified: it claims nothing that could be derived",
                 "policy", "`xauto solve` says what would make it certified");
   CheckReport report;
-  const Result<checking::World> derived = checking::derive(app, platform, policy);
+  XAUTO_ASSIGN(const checking::Ticks ticks, checking::ticks_beside(app, platform, beside));
+  const Result<checking::World> derived = checking::derive(app, platform, policy, true, ticks);
   if (!derived) {
     XAUTO_TRY(checking::keep_lie(derived.error(), report));
     return report;
@@ -76,7 +105,7 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
   for (const Placement& placed : policy.placements)
     longest_us = std::max(longest_us, *std::ranges::max_element(placed.key_us));
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
-    Result<XpuProof> load = checking::prove_load(w, static_cast<int>(m));
+    Result<XpuProof> load = checking::prove_load(w, static_cast<int>(m), beside);
     if (!load) {
       XAUTO_TRY(checking::keep_lie(load.error(), report));
       report.xpus.emplace_back().xpu = platform.xpus[m].id;
@@ -119,10 +148,24 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
   return report;
 }
 
-Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Policy& policy) {
-  XAUTO_ASSIGN(CheckReport report, examine(app, platform, policy));
+Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Policy& policy,
+                          const Beside& beside) {
+  XAUTO_ASSIGN(CheckReport report, examine(app, platform, policy, beside));
   if (!report.lies.empty()) return tl::unexpected<Error>(report.lies.front());
   return report;
+}
+
+Result<Demand> demand_of(const AppSpec& app, const Platform& platform, const Policy& policy) {
+  if (app.one_at_a_time) return checking::takes_all(app);
+  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false));
+  Demand demand;
+  demand.ticks_per_us = w.scale;
+  for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
+    DemandOnXpu on = checking::demand_on(w, static_cast<int>(m));
+    if (!on.sequences.empty()) demand.xpus.push_back(std::move(on));
+  }
+  XAUTO_TRY(validate(demand));
+  return demand;
 }
 
 }  // namespace xauto::solver::keys

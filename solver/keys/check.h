@@ -14,6 +14,7 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/demand.h"
 #include "model/platform.h"
 #include "model/policy.h"
 
@@ -65,12 +66,18 @@ struct CheckReport {
 };
 
 /// All that is false, shown, or taken on trust. kInvalid: the input makes no sense, or the policy is not certified and
-/// claims nothing that could follow.
+/// claims nothing that could follow. `beside`: others' jobs, as their demands say, are on the XPUs, too; and so much of
+/// each is left (docs/keys.md, "Apps compose").
 [[nodiscard]] Result<CheckReport> examine(const AppSpec& app, const Platform& platform,
-                                          const Policy& policy);
+                                          const Policy& policy, const Beside& beside = {});
 /// Refuses what lies, with the first lie, which is kInfeasible.
 [[nodiscard]] Result<CheckReport> check(const AppSpec& app, const Platform& platform,
-                                        const Policy& policy);
+                                        const Policy& policy, const Beside& beside = {});
+
+/// What the policy, which check() takes, asks of each XPU. kInvalid: its sources have no rate, so that no demand bounds
+/// what it takes; its times are too long for the file.
+[[nodiscard]] Result<Demand> demand_of(const AppSpec& app, const Platform& platform,
+                                       const Policy& policy);
 
 /// What a policy states that is not certified: it is for this app, each XNode is where it can run, and its order leaves
 /// a way through. Nothing of times.

@@ -13,6 +13,10 @@
 //                           and the longest job that may hold the last level when it begins and has a
 //                           later key, is at most t
 //
+// Other apps are groups, too, of which a demand file says all but the names. Nothing of it is derived again, but for
+// who pays for a preemption of whom: another app's job may be what is preempted. A reserve makes all work longer, and
+// everybody pays.
+//
 // Levels. An XPU that does not preempt has one, another one as many as it says, or any number. A job that is
 // started while others have started and not ended is on the level above theirs. On the last one it is not
 // interrupted. Jobs on levels are nested: each has become ready after the one below has begun, and has an earlier
@@ -69,6 +73,7 @@ struct Group {
   /// windows, which may begin up to `slip` later.
   bool urgent = false;
   Ticks slip = 0;
+  int other = 0;  ///< of another app: 1 + the index of its demand
 };
 
 /// What is in an interval: at its end `demand`, between the begins of two windows and two keys.
@@ -80,17 +85,21 @@ struct Step {
 
 class Load {
  public:
-  Load(const World& w, int m) : w_(w), xpu_(w.platform.xpus[at(m)]), m_(m) {}
+  Load(const World& w, int m, const Beside& beside)
+      : w_(w), xpu_(w.platform.xpus[at(m)]), m_(m), beside_(beside) {}
 
   Result<XpuProof> prove() {
     proof_.xpu = xpu_.id;
     make_groups();
-    if (groups_.empty()) {
+    if (groups_.empty()) {  // who is there has been tested without this app
       proof_.kind = "no job";
       return proof_;
     }
-    if (xpu_.preemptive && xpu_.preempt_us > 0) charge();
+    XAUTO_TRY(add_others());
+    if (costs()) charge();
     find_last();
+    for (Group& g : groups_)
+      for (Item& i : g.items) i.work = with_reserve(i.work);
     Ticks longest = 0;
     for (const Group& g : groups_) {
       if (g.urgent) continue;
@@ -118,12 +127,40 @@ class Load {
     return proof_;
   }
 
+  /// What others have to know. Behind a reserve, or beside others, everybody is told the same: who pays among the app's
+  /// own jobs. An XNode that may be urgent always pays: then nobody has to know which of its jobs belong together.
+  DemandOnXpu demand() {
+    make_groups();
+    if (costs()) charge();
+    DemandOnXpu on;
+    on.xpu.id = xpu_.id;
+    on.xpu.preemptive = xpu_.preemptive;
+    on.xpu.preempt_us = xpu_.preempt_us;
+    on.xpu.levels = xpu_.levels;
+    for (Group& g : groups_) {
+      DemandSequence& s = on.sequences.emplace_back();
+      s.period = g.period;
+      s.ppm = g.ppm;
+      s.once = g.urgent;
+      s.slip = g.slip;
+      for (Item& i : g.items) {
+        if (costs() && !i.charged && !w_.urgent[at(i.xnode)].empty()) pay(i);
+        s.jobs.push_back({i.release - floor_div(i.release, g.period) * g.period, i.window.a,
+                          i.window.e, i.window.d, i.work, i.charged});
+      }
+    }
+    return on;
+  }
+
  private:
   static double slowdown(const Group& g) {
     return 1 - static_cast<double>(g.ppm) / static_cast<double>(kMillion);
   }
   [[nodiscard]] std::string where() const { return "XPU " + xpu_.id; }
   [[nodiscard]] std::string where(const Item& i) const {
+    if (i.xnode < 0)
+      return fmt::format("XPU {}, another app's job, key {} us after its release", xpu_.id,
+                         w_.us(i.window.d));
     return fmt::format("XPU {}, XNode '{}', activation {}", xpu_.id, w_.name(i.xnode),
                        i.activation);
   }
@@ -186,6 +223,60 @@ class Load {
     groups_.push_back(std::move(g));
   }
 
+  [[nodiscard]] bool costs() const { return xpu_.preemptive && xpu_.preempt_us > 0; }
+
+  /// Of all there is, the reserve is for others.
+  [[nodiscard]] Ticks with_reserve(Ticks work) const {
+    return beside_.reserve_pct == 0
+               ? work
+               : ceil_div(static_cast<__int128>(work) * 100, 100 - beside_.reserve_pct);
+  }
+
+  [[nodiscard]] bool with_others() const {
+    return beside_.reserve_pct > 0 ||
+           std::ranges::any_of(groups_, [](const Group& g) { return g.other > 0; });
+  }
+
+  [[nodiscard]] tl::unexpected<Error> does_not_fit() const {
+    return fail(ErrorCode::kInvalid, "times of another app do not fit", where(),
+                "state periods as ratios of smaller numbers");
+  }
+
+  Status add_others() {
+    int items = 0;
+    __int128 work = 0;
+    for (std::size_t k = 0; k < beside_.demands.size(); ++k) {
+      const Demand& demand = beside_.demands[k];
+      const Ticks factor = w_.scale / demand.ticks_per_us;
+      for (const DemandOnXpu& on : demand.xpus) {
+        if (on.xpu.id != xpu_.id) continue;
+        for (const DemandSequence& s : on.sequences) {
+          Group g;
+          g.other = static_cast<int>(k) + 1;
+          g.clock = -1 - static_cast<int>(groups_.size());
+          g.ppm = s.ppm;
+          g.urgent = s.once;
+          if (s.period > kMaxTicks / factor) return does_not_fit();
+          g.period = s.period * factor;
+          g.slip = s.slip * factor;
+          for (const DemandJob& j : s.jobs) {
+            if (j.key > kMaxTicks / factor || j.work > kMaxTicks / factor ||
+                -j.start > kMaxTicks / factor)
+              return does_not_fit();
+            g.items.push_back({--items, 0, j.release * factor,
+                               Window{j.ready * factor, j.key * factor, j.start * factor},
+                               j.work * factor, j.charged});
+            g.longest = std::max(g.longest, (j.key - j.start) * factor);
+            work += g.items.back().work;
+            if (work > kMaxTicks) return does_not_fit();
+          }
+          groups_.push_back(std::move(g));
+        }
+      }
+    }
+    return {};
+  }
+
   bool add_group(const std::vector<int>& xnodes) {
     Group g;
     g.xnodes = xnodes;
@@ -235,9 +326,16 @@ class Load {
       std::vector<std::int64_t> lags;
       int lags_of = -1;
       for (Item& i : g.items) {
+        if (i.charged) continue;  // a demand file says so
+        if (beside_.reserve_pct > 0) {
+          pay(i);
+          continue;
+        }
         if (lags_of != i.xnode) lags.clear();  // items are by XNode; most need none
         lags_of = i.xnode;
         const auto over_other = [&](const Group& other) {
+          if (g.other > 0 && g.other == other.other) return false;  // that is in its file
+          if (g.other != other.other) return other.longest > i.window.d - i.window.a;
           if (g.urgent || other.urgent) return may_preempt_urgent(i, other);
           return &other != &g && may_preempt(i, g, other);
         };
@@ -347,10 +445,18 @@ class Load {
     return begins[of.first + static_cast<std::size_t>((n % size + size) % size)];
   }
 
-  /// Sets `last` of all items, and whether some job may wait while all levels are in use.
+  /// Sets `last` of all items, and whether some job may wait while all levels are in use. Beside others, who may be
+  /// below is not looked at: each may be the last.
   void find_last() {
     std::set<int> here;
     bool urgent = false;
+    if (with_others()) {
+      blocks_ = !xpu_.preemptive || xpu_.levels > 0;
+      for (Group& g : groups_)
+        for (Item& i : g.items)
+          if (blocks_) i.last = i.window.e;
+      return;
+    }
     for (const Group& g : groups_) {
       here.insert(g.xnodes.begin(), g.xnodes.end());
       urgent = urgent || g.urgent;
@@ -580,7 +686,7 @@ class Load {
   }
 
   void note(const Step& s, Ticks blocked) {
-    proof_.xnode = w_.name(s.last->xnode);
+    proof_.xnode = s.last->xnode < 0 ? "another app's job" : w_.name(s.last->xnode);
     proof_.activation = s.last->activation;
     proof_.length_us = w_.us(s.length);
     proof_.demand_us = w_.us(s.demand + blocked);
@@ -612,6 +718,12 @@ class Load {
         for (const Item& i : g.items) once += i.work;
         continue;
       }
+      for (const Item& i : g.items)
+        if (g.other > 0) {
+          all.push_back({least(g.period, g.ppm), 0, i.work});
+          length += i.work;
+        }
+      if (g.other > 0) continue;
       std::map<int, Stream> of;
       for (const Item& i : g.items) {
         Stream& load = of.try_emplace(i.xnode, Stream{least(w_.home(i.xnode).period, g.ppm), 0, 0})
@@ -736,9 +848,10 @@ class Load {
   }
 
   [[nodiscard]] std::string blocked_by(const Blocker* b) const {
-    return b == nullptr ? ""
-                        : fmt::format(", and {} us of '{}', which may run when they begin,",
-                                      w_.us(b->work), w_.name(b->xnode));
+    return b == nullptr
+               ? ""
+               : fmt::format(", and {} us of {}, which may run when they begin,", w_.us(b->work),
+                             b->xnode < 0 ? "another app" : "'" + w_.name(b->xnode) + "'");
   }
 
   /// Demand and blocking against length, at each step of the curve.
@@ -750,8 +863,11 @@ class Load {
       if (slack < 0)
         return fail(
             ErrorCode::kInfeasible,
-            fmt::format("{} us of work{} may have their windows in the {} us before its key",
-                        w_.us(s.demand), blocked_by(blocker), w_.us(s.length)),
+            fmt::format("{} us of work{} may have their windows in the {} us before its key{}",
+                        w_.us(s.demand), blocked_by(blocker), w_.us(s.length),
+                        with_others()
+                            ? fmt::format(": {} us too much{}", w_.us(-slack), of_reserve())
+                            : ""),
             where(*s.last), "give it, or what runs beside it, a later key");
       if (slack < slack_) {
         slack_ = slack;
@@ -761,11 +877,42 @@ class Load {
     return {};
   }
 
+  [[nodiscard]] std::string of_reserve() const {
+    return beside_.reserve_pct == 0 ? ""
+                                    : fmt::format(", with {} % for others", beside_.reserve_pct);
+  }
+
+  /// By XNode; of other apps by job, none that blocks for no longer, and no less, than another one.
+  [[nodiscard]] std::vector<Blocker> blockers(const Group& g) const {
+    std::vector<Blocker> all;
+    for (const int j : g.xnodes) {
+      Blocker blocker{0, with_reserve(w_.wcet[at(j)] + to_start_above()), j};
+      const Span& of = g.items_of.at(j);
+      for (std::size_t n = of.first; n < of.first + of.size; ++n)
+        blocker.until = std::max(blocker.until, g.items[n].window.d - g.items[n].last);
+      all.push_back(blocker);
+    }
+    if (g.other == 0) return all;
+    for (const Item& i : g.items)
+      all.push_back({i.window.d - i.last,
+                     i.charged ? i.work : i.work + with_reserve(to_start_above()), i.xnode});
+    std::ranges::sort(all, [](const Blocker& a, const Blocker& b) {
+      return a.until != b.until ? a.until > b.until : a.work > b.work;
+    });
+    Ticks longest = 0;
+    std::erase_if(all, [&](const Blocker& b) {
+      const bool less = b.work <= longest;
+      longest = std::max(longest, b.work);
+      return less;
+    });
+    return all;
+  }
+
   Status bound_demand() {
     Ticks longest = 0;
     if (blocks_)
       for (const Group& g : groups_)
-        for (const int j : g.xnodes) longest = std::max(longest, w_.wcet[at(j)] + to_start_above());
+        for (const Blocker& b : blockers(g)) longest = std::max(longest, b.work);
     std::optional<Ticks> end = busy(longest);
     if (!end) end = turn();
     if (!end) return no_end();
@@ -784,13 +931,11 @@ class Load {
     const std::vector<Step> total = sum(curves);
     XAUTO_TRY(compare(total, nullptr));
     for (std::size_t k = 0; blocks_ && k < groups_.size(); ++k)
-      for (const int j : groups_[k].xnodes) {
-        Blocker blocker{0, w_.wcet[at(j)] + to_start_above(), j};
-        const Span& of = groups_[k].items_of.at(j);
-        for (std::size_t n = of.first; n < of.first + of.size; ++n)
-          blocker.until =
-              std::max(blocker.until, groups_[k].items[n].window.d - groups_[k].items[n].last);
-        if (groups_[k].urgent) {
+      for (const Blocker& blocker : blockers(groups_[k])) {
+        const int j = blocker.xnode;
+        if (groups_[k].urgent || groups_[k].other > 0) {
+          steps_ += static_cast<std::int64_t>(total.size());
+          if (steps_ > kMaxSteps) return too_many_steps();
           XAUTO_TRY(compare(total, &blocker));
           continue;
         }
@@ -861,11 +1006,14 @@ class Load {
   Status affordable(const Group& g, Ticks end) {
     const auto items = static_cast<__int128>(g.items.size());
     steps_ += items * (items * (end + 2 * drift(g, end)) / g.period + 1);
-    if (steps_ > kMaxSteps)
-      return fail(ErrorCode::kInfeasible,
-                  fmt::format("its demand has more than {} steps; there is no proof", kMaxSteps),
-                  where(), "use fewer keys per XNode, or leave it to XNodes of one clock");
+    if (steps_ > kMaxSteps) return too_many_steps();
     return {};
+  }
+
+  [[nodiscard]] tl::unexpected<Error> too_many_steps() const {
+    return fail(ErrorCode::kInfeasible,
+                fmt::format("its demand has more than {} steps; there is no proof", kMaxSteps),
+                where(), "use fewer keys per XNode, or leave it to XNodes of one clock");
   }
 
   static std::vector<Step> sum(const std::vector<std::vector<Step>>& curves) {
@@ -892,6 +1040,7 @@ class Load {
   const World& w_;
   const Xpu& xpu_;
   int m_;
+  const Beside& beside_;
   std::vector<Group> groups_;
   XpuProof proof_;
   mutable std::vector<std::vector<std::uint64_t>>
@@ -904,8 +1053,12 @@ class Load {
 
 }  // namespace load
 
-Result<XpuProof> prove_load(const World& w, int m) {
-  return load::Load(w, m).prove();
+Result<XpuProof> prove_load(const World& w, int m, const Beside& beside) {
+  return load::Load(w, m, beside).prove();
+}
+
+DemandOnXpu demand_on(const World& w, int m) {
+  return load::Load(w, m, {}).demand();
 }
 
 }  // namespace xauto::solver::keys::checking

@@ -9,7 +9,9 @@
 
 namespace xauto::solver::keys::checking {
 
-/// The proof for XPU `m`, or why there is none.
-[[nodiscard]] Result<XpuProof> prove_load(const World& w, int m);
+/// The proof for XPU `m`, or why there is none. The world's ticks are a multiple of those of `beside`.
+[[nodiscard]] Result<XpuProof> prove_load(const World& w, int m, const Beside& beside);
+/// What it has of the policy, for others to test; no sequences: nothing.
+[[nodiscard]] DemandOnXpu demand_on(const World& w, int m);
 
 }  // namespace xauto::solver::keys::checking

@@ -525,12 +525,13 @@ std::vector<std::int64_t> World::lags(int xnode, bool forward) const {
 }
 
 Result<World> structure(const AppSpec& app, const Platform& platform, const Policy& policy,
-                        bool fine) {
+                        bool fine, Ticks multiple_of) {
   XAUTO_TRY(validate(app));
   XAUTO_TRY(validate(platform));
   XAUTO_TRY(world::check_indices(app, platform, policy));
   XAUTO_TRY(validate_on(app, platform));
   World w{app, platform, policy};
+  w.scale = multiple_of;
   XAUTO_TRY(world::set_scale(w, fine));
   XAUTO_TRY(world::set_graph(w));
   XAUTO_TRY(world::set_modules(w));
@@ -540,8 +541,9 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const Poli
   return w;
 }
 
-Result<World> derive(const AppSpec& app, const Platform& platform, const Policy& policy) {
-  XAUTO_ASSIGN(World w, structure(app, platform, policy, true));
+Result<World> derive(const AppSpec& app, const Platform& platform, const Policy& policy, bool fine,
+                     Ticks multiple_of) {
+  XAUTO_ASSIGN(World w, structure(app, platform, policy, fine, multiple_of));
   XAUTO_TRY(world::set_windows(w));
   XAUTO_TRY(world::set_urgent(w));
   return w;

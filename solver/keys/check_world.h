@@ -115,9 +115,10 @@ inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 
 /// All but the windows, which only a policy has that holds. `fine`: in ticks in which drift, too, is
 /// exact, where they fit.
+/// `multiple_of`: the ticks of a microsecond are a multiple of that.
 [[nodiscard]] Result<World> structure(const AppSpec& app, const Platform& platform,
-                                      const Policy& policy, bool fine);
+                                      const Policy& policy, bool fine, Ticks multiple_of = 1);
 [[nodiscard]] Result<World> derive(const AppSpec& app, const Platform& platform,
-                                   const Policy& policy);
+                                   const Policy& policy, bool fine = true, Ticks multiple_of = 1);
 
 }  // namespace xauto::solver::keys::checking

@@ -116,7 +116,8 @@ double Evaluator::overload(const Decision& decision) const {
   std::vector<double> load(at(p_.num_xpus), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int m = decision.xpu[at(i)];
-    load[at(m)] += static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
+    if (load[at(m)] == 0) load[at(m)] = p_.others_load[at(m)];
+    load[at(m)] += p_.load_of(i, m, false);
   }
   double over = 0;
   for (const double l : load) over += std::max(0.0, l - 1.0);
@@ -340,14 +341,16 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int m = decision.xpu[at(i)];
     const std::int64_t ppm = p_.domains[at(p_.domain_of(i))].ppm;
-    rule_.work[at(i)] = in_fast_time(p_.wcet(i, m), ppm);
+    // With a reserve each pays, in its work.
+    rule_.work[at(i)] = in_fast_time(p_.tested_work(i, m, false), ppm);
     if (shared_[at(m)] == 0) {
-      rule_.cost[at(m)] = in_fast_time(p_.preempt[at(m)], ppm);
+      rule_.cost[at(m)] = p_.reserve_pct > 0 ? 0 : in_fast_time(p_.preempt[at(m)], ppm);
       rule_.window[at(i)] = kNoTick;
     } else {
       // A window that cannot begin earlier has to end later by what urgency takes of it.
-      rule_.window[at(i)] = std::max(decision.window[at(i)],
-                                     p_.wcet(i, m) + (rigid_[at(i)] != 0 ? p_.urgent_by(i) : 0));
+      rule_.window[at(i)] =
+          std::max(decision.window[at(i)], p_.up_to_us(p_.tested_work(i, m, false)) +
+                                               (rigid_[at(i)] != 0 ? p_.urgent_by(i) : 0));
     }
   }
   if (!plan(decision, out, until)) return false;

@@ -410,6 +410,11 @@ class Play {
             release + atoms(p.key_us[static_cast<std::size_t>(n) % p.key_us.size()]) - sooner};
   }
 
+  /// A run knows nothing of the keys to come of another one.
+  [[nodiscard]] bool of_another_app(int x, int xnode) const {
+    return !options_.app_of.empty() && options_.app_of[at(x)] != options_.app_of[at(xnode)];
+  }
+
   /// docs/keys.md, "Early start".
   [[nodiscard]] bool may_start_early(int xnode, const Job& j) const {
     if (w_.app.one_at_a_time)
@@ -418,7 +423,9 @@ class Play {
     const Xpu& xpu = w_.platform.xpus[m];
     if (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0)
       for (const int x : devices_[m].xnodes)
-        if (x != xnode && first_open(x).second <= j.key) return false;
+        if (x != xnode &&
+            (of_another_app(x, xnode) ? xpu.preemptive : first_open(x).second <= j.key))
+          return false;
     for (const int u : sampled_[at(xnode)]) {
       const auto [release, key] = first_open(u);
       const bool one_clock = w_.home(u).clock == w_.home(xnode).clock;

@@ -35,6 +35,9 @@ struct PlayOptions {
   /// first. To play other rules beside keys. Empty: keys.
   std::vector<std::int64_t> rank = {};
   bool urgent = false;  ///< every other release that may be, at random; otherwise none
+  /// [xnode] of whose app, where it is several (model/together.h): on an XPU that two of them have, and where preemption
+  /// costs, nobody starts early. Empty: of one.
+  std::vector<int> app_of = {};
 };
 
 struct PlayedXNode {

@@ -33,7 +33,11 @@ struct Builder {
     return {};
   }
 
-  Status set_scale() const {
+  Status set_scale(const Beside& beside) const {
+    for (const Demand& demand : beside.demands)
+      if (!times(p.scale / std::gcd(p.scale, demand.ticks_per_us), demand.ticks_per_us,
+                 Tick{1} << 30, p.scale))
+        return too_long("a tick of the demands");
     for (const SourceSpec& s : app.sources) {
       const std::int64_t den = s.period.den;
       if (s.period.num <= 0 || den <= 0)
@@ -69,6 +73,44 @@ struct Builder {
       XAUTO_TRY(ticks(xpu.preempt_us, "preempt_us of XPU '" + xpu.id + "'", cost));
       p.preempt.push_back(cost);
       p.levels.push_back(!xpu.preemptive ? 1 : xpu.levels == 0 ? kAnyLevels : xpu.levels);
+    }
+    return {};
+  }
+
+  /// Demands that are valid, and of this platform.
+  Status set_others(const Platform& platform, const Beside& beside) const {
+    p.others.resize(at(p.num_xpus));
+    p.others_longest.assign(at(p.num_xpus), 0);
+    p.others_load.assign(at(p.num_xpus), 0);
+    p.reserve_pct = beside.reserve_pct;
+    for (std::size_t k = 0; k < beside.demands.size(); ++k) {
+      const Tick factor = p.scale / beside.demands[k].ticks_per_us;
+      for (const DemandOnXpu& on : beside.demands[k].xpus)
+        for (DemandSequence s : on.sequences) {
+          const auto m = at(platform.find(on.xpu.id));
+          bool fits = times(s.period, factor, 2 * kMostKey, s.period);
+          s.slip *= factor;
+          for (DemandJob& j : s.jobs) {
+            fits = fits && j.key <= kMostKey / factor && j.work <= kMostKey / factor;
+            if (!fits) return too_long("a time of the demands");
+            for (Tick* t : {&j.release, &j.ready, &j.start, &j.key, &j.work}) *t *= factor;
+            if (!s.once)
+              p.others_load[m] +=
+                  static_cast<double>(p.with_reserve(j.work)) / static_cast<double>(s.period);
+          }
+          p.others[m].push_back({static_cast<int>(k), std::move(s)});
+        }
+    }
+    for (std::size_t m = 0; m < p.others.size(); ++m) {
+      std::map<int, Tick> longest;  // [demand]
+      for (const OtherSequence& s : p.others[m])
+        for (const DemandJob& j : s.of.jobs)
+          longest[s.demand] = std::max(longest[s.demand], j.key - j.start);
+      for (const auto& [demand, length] : longest) {
+        p.others_longest[m] = std::max(p.others_longest[m], length);
+        for (OtherSequence& s : p.others[m])
+          if (s.demand != demand) s.beside = std::max(s.beside, length);
+      }
     }
     return {};
   }
@@ -502,8 +544,18 @@ struct Builder {
 
 Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
                                 const Objectives& wishes,
-                                const std::vector<std::pair<int, int>>& order) {
+                                const std::vector<std::pair<int, int>>& order,
+                                const Beside& beside) {
   XAUTO_TRY(validate(app));
+  if (app.one_at_a_time && !beside.nobody())
+    return fail(ErrorCode::kInvalid,
+                "its sources have no rate: it takes all of its XPUs that it gets, and nothing can "
+                "be claimed beside it",
+                "app '" + app.name + "'", "state how often its sources release at most: rate_hz");
+  for (const Demand& demand : beside.demands) {
+    XAUTO_TRY(validate(demand));
+    XAUTO_TRY(validate_on(demand, platform));
+  }
   XAUTO_ASSIGN(solver::Problem base, solver::Problem::create(app, platform));
   Objectives placing;
   placing.pins = wishes.pins;
@@ -512,8 +564,9 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
   XAUTO_TRY(resolve(placing, app, platform, base));
   Problem p;
   Builder build{app, p};
-  XAUTO_TRY(build.set_scale());
+  XAUTO_TRY(build.set_scale(beside));
   XAUTO_TRY(build.set_platform(platform, base));
+  XAUTO_TRY(build.set_others(platform, beside));
   XAUTO_TRY(build.set_edges());
   XAUTO_TRY(build.set_components(order));
   std::vector<int> clock_of;

@@ -18,6 +18,7 @@
 
 #include "base/index.h"
 #include "model/app.h"
+#include "model/demand.h"
 #include "model/platform.h"
 #include "solver/objectives.h"
 
@@ -99,6 +100,13 @@ struct Chain {
   Tick offset = 0;  ///< of the source
 };
 
+/// Jobs of another app, on one XPU (docs/keys.md, "Apps compose").
+struct OtherSequence {
+  int demand = 0;  ///< index into Beside::demands: who pays for whom in it has been charged
+  DemandSequence of;
+  Tick beside = 0;  ///< largest key - start in the other demands
+};
+
 struct Problem {
   int num_xnodes = 0, num_xpus = 0, num_types = 0;
   Tick scale = 1;  ///< ticks per microsecond
@@ -136,6 +144,11 @@ struct Problem {
   std::vector<int> place;    ///< [xnode] among the XNodes of its part
   std::vector<std::vector<std::uint64_t>>
       reach;  ///< [xnode] bitset of places: who is behind it by `succ`
+
+  std::vector<std::vector<OtherSequence>> others;  ///< [xpu]
+  std::vector<Tick> others_longest;                ///< [xpu] largest key - start of a job
+  std::vector<double> others_load;                 ///< [xpu] of its time, with the reserve
+  int reserve_pct = 0;                             ///< of each XPU, for more others
 
   std::vector<int> slot;        ///< [xnode] the first of its jobs
   std::vector<int> jobs;        ///< [xnode] how many
@@ -181,12 +194,33 @@ struct Problem {
     return scale == 1 ? t : (t + scale - 1) / scale * scale;
   }
 
+  /// Whether others may be on the XPU.
+  [[nodiscard]] bool beside_others(int xpu) const {
+    return reserve_pct > 0 || !others[at(xpu)].empty();
+  }
+  /// Work as it is tested: with a reserve as much longer as there is less of the XPU. Rounded up.
+  [[nodiscard]] Tick with_reserve(Tick work) const {
+    return reserve_pct == 0 ? work : (work * 100 + 99 - reserve_pct) / (100 - reserve_pct);
+  }
+  /// The same of a job, which may pay for a preemption. With a reserve each does.
+  [[nodiscard]] Tick tested_work(int xnode, int xpu, bool pays) const {
+    return with_reserve(wcet(xnode, xpu) + (preemptive[at(xpu)] != 0 && (pays || reserve_pct > 0)
+                                                ? preempt[at(xpu)]
+                                                : 0));
+  }
+  /// Part of the XPU's time.
+  [[nodiscard]] double load_of(int xnode, int xpu, bool pays) const {
+    return static_cast<double>(tested_work(xnode, xpu, pays)) /
+           static_cast<double>(period_of(xnode));
+  }
+
   /// kInvalid: what `validate` refuses, times too long for 64 bits, too many
   /// ways for a chain, an order that is a cycle or of XNodes that are not released together; kInfeasible: pins and forbids leave
   /// nothing for an XNode. `order`: Policy::order, which the policies of this problem have.
   [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform,
                                               const Objectives& wishes = {},
-                                              const std::vector<std::pair<int, int>>& order = {});
+                                              const std::vector<std::pair<int, int>>& order = {},
+                                              const Beside& beside = {});
 };
 
 /// [xnode] on the XPU that is fastest for it; 0: it can run nowhere.

@@ -265,12 +265,8 @@ void Search::put(Decision& d, int xnode, int xpu) const {
 void Search::balance(std::vector<int>& xpu, int steps) {
   Decision d;
   d.xpu = xpu;
-  std::vector<double> load(at(p_.num_xpus), 0);
-  const auto rate = [&](int i, int m) {
-    return static_cast<double>(p_.wcet(i, m) +
-                               (p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
-           static_cast<double>(p_.period_of(i));
-  };
+  std::vector<double> load = p_.others_load;
+  const auto rate = [&](int i, int m) { return p_.load_of(i, m, true); };
   for (int i = 0; i < p_.num_xnodes; ++i) load[at(xpu[at(i)])] += rate(i, xpu[at(i)]);
   const auto excess = [&](double l) {
     return l > kOverfull ? kOverfullCosts * (l - kOverfull) + l * l : l * l;
@@ -312,12 +308,8 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   std::stable_sort(order.begin(), order.end(),
                    [&](int a, int b) { return weight_of(a) > weight_of(b); });
   // With `charge` as if each paid for a preemption, as most do in the end on a busy XPU.
-  const auto rate_on = [&](int i, int m) {
-    return static_cast<double>(p_.wcet(i, m) +
-                               (charge && p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
-           static_cast<double>(p_.period_of(i));
-  };
-  std::vector<double> load(at(p_.num_xpus), 0);
+  const auto rate_on = [&](int i, int m) { return p_.load_of(i, m, charge); };
+  std::vector<double> load = p_.others_load;
   std::vector<int> first_domain(at(p_.num_xpus), -1);
   for (const int i : order) {
     if (d.xpu[at(i)] >= 0) continue;  // its group has been placed
@@ -337,7 +329,9 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
                         weight_of(i) +
                     kCrowding * rate * after + (after > kFull ? kFullCosts * (after - kFull) : 0);
       // A domain beside another has to wait for all phases.
-      if (first_domain[at(m)] >= 0 && first_domain[at(m)] != p_.domain_of(i)) cost += rate;
+      if (first_domain[at(m)] >= 0 ? first_domain[at(m)] != p_.domain_of(i)
+                                   : !p_.others[at(m)].empty())
+        cost += rate;
       if (where < 0 || cost < best) {
         best = cost;
         where = m;
@@ -439,7 +433,9 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
 }
 
 void Search::try_start(Decision decision, const std::function<void(const Candidate&)>& on_better) {
-  const bool many = p_.domains.size() > 1 || p_.any_urgent;
+  const bool many = p_.domains.size() > 1 || p_.any_urgent || p_.reserve_pct > 0 ||
+                    std::any_of(p_.others.begin(), p_.others.end(),
+                                [](const auto& others) { return !others.empty(); });
   Candidate c;
   c.decision = std::move(decision);
   for (const double part : kWindowParts) {

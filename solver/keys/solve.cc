@@ -173,7 +173,8 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
   std::vector<Seed>& seeds = found.seeds;
   if (!options.order) return found;
   const auto add = [&](const Policy& policy) {
-    Result<Problem> with = Problem::create(app, platform, options.wishes, policy.order);
+    Result<Problem> with =
+        Problem::create(app, platform, options.wishes, policy.order, options.beside);
     if (with) seeds.push_back({std::move(*with), policy});
   };
   const Policy* hint = options.hint;
@@ -475,7 +476,7 @@ class Solving {
     answer_.outcome = Outcome::kPolicy;
     // Predicted times are those of one schedule; domains that share XPUs have none in common.
     const bool predicted =
-        p_.domains.size() == 1 && !p_.any_urgent &&
+        p_.domains.size() == 1 && !p_.any_urgent && options_.beside.demands.empty() &&
         predict(of(), best.decision.xpu, best.figures.w, best.figures.schedule, times_.finish);
     answer_.policy = policy_of(app_, platform_, of(), best, predicted, answer_.lower_bound_us);
     if (seed_ != nullptr) {
@@ -528,7 +529,7 @@ Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) 
 
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
   const TimePoint began = std::chrono::steady_clock::now();
-  XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes));
+  XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes, {}, options.beside));
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
   // Releases that wait for each other leave time for any: validate(AppSpec) refuses longer ones.
   if (std::optional<OverloadProof> proof = app.one_at_a_time ? std::nullopt : prove_overload(p)) {

@@ -50,6 +50,7 @@ struct Options {
   /// Where to begin; proven again before it is certified. May be of an earlier version of the app:
   /// xpu -1 for an XNode that it does not know.
   const Policy* hint = nullptr;
+  Beside beside = {};  ///< others, whose claims stay, and a reserve (docs/keys.md, "Apps compose")
   Keep keep = Keep::kNothing;
 };
 

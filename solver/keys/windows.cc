@@ -243,8 +243,9 @@ void charge_one_release(const Problem& p, const Windows& w, const std::vector<in
 
 void charge_pairs(const Problem& p, const Windows& w, const std::vector<int>& here, int m,
                   bool costs, bool limited, Charges& out) {
-  const bool shared = std::any_of(
-      here.begin(), here.end(), [&](int i) { return p.domain_of(i) != p.domain_of(here.front()); });
+  const bool shared = p.beside_others(m) || std::any_of(here.begin(), here.end(), [&](int i) {
+                        return p.domain_of(i) != p.domain_of(here.front());
+                      });
   for (const int i : here)
     for (const int j : here) {
       if (i == j) continue;
@@ -261,6 +262,18 @@ void charge_pairs(const Problem& p, const Windows& w, const std::vector<int>& he
         slots(out.last_start, [&](const Pair& pair, int n, std::size_t s) {
           if (work > out.blocked_by[s] && pair.meets(n)) out.blocked_by[s] = work;
         });
+    }
+}
+
+/// Of others' jobs any may be preempted, in any phase; and with a reserve those of nobody knows whom.
+void charge_beside(const Problem& p, int m, const std::vector<int>& here, const Windows& w,
+                   const Windows& u, Charges& out) {
+  const Tick longest = p.reserve_pct > 0 ? kForever : p.others_longest[at(m)];
+  for (const int i : here)
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      if (longest > w.d[s] - w.a[s]) out.preempts[s] = 1;
+      if (p.urgent[at(i)] != 0 && longest > u.d[s] - u.a[s]) out.urgent_preempts[at(i)] = 1;
     }
 }
 
@@ -282,10 +295,6 @@ void charge_urgent(const Problem& p, const std::vector<int>& here, const Windows
           out.urgent_preempts[at(i)] = 1;
       }
   }
-  // An urgent job takes the place of one that is counted with what it pays.
-  for (const int i : here)
-    if (out.urgent_preempts[at(i)] != 0)
-      std::fill_n(out.preempts.begin() + p.slot[at(i)], p.jobs[at(i)], char{1});
 }
 
 }  // namespace
@@ -389,12 +398,23 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, con
     const bool limited = p.levels[at(m)] != kAnyLevels;
     const bool costs = p.preemptive[at(m)] != 0 && p.preempt[at(m)] > 0;
     if (!limited && !costs) continue;
-    if (limited) Levels(p, w, u, p.levels[at(m)]).set_last_starts(here[at(m)], out.last_start);
+    if (limited && !p.beside_others(m))
+      Levels(p, w, u, p.levels[at(m)]).set_last_starts(here[at(m)], out.last_start);
+    else if (limited)  // who may be below is not looked at: each may be the last
+      for (const int i : here[at(m)])
+        std::copy_n(w.e.begin() + p.slot[at(i)], p.jobs[at(i)],
+                    out.last_start.begin() + p.slot[at(i)]);
     if (meet_in_one_release(p, w, here[at(m)]))
       charge_one_release(p, w, here[at(m)], m, costs, limited, out);
     else
       charge_pairs(p, w, here[at(m)], m, costs, limited, out);
-    if (costs && p.any_urgent) charge_urgent(p, here[at(m)], w, u, out);
+    if (!costs) continue;
+    if (p.any_urgent) charge_urgent(p, here[at(m)], w, u, out);
+    if (p.beside_others(m)) charge_beside(p, m, here[at(m)], w, u, out);
+    // An urgent job takes the place of one that is counted with what it pays.
+    for (const int i : here[at(m)])
+      if (out.urgent_preempts[at(i)] != 0)
+        std::fill_n(out.preempts.begin() + p.slot[at(i)], p.jobs[at(i)], char{1});
   }
 }
 

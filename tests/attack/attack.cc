@@ -58,8 +58,12 @@ struct Path {
 
 class World {
  public:
-  World(const AppSpec& app, const Platform& platform, const Policy& policy, Early early)
-      : app_(app), platform_(platform), policy_(policy), early_(early) {
+  World(const AppSpec& app, const Platform& platform, const Policy& policy, const Options& options)
+      : app_(app),
+        platform_(platform),
+        policy_(policy),
+        early_(options.early),
+        app_of_(options.app_of) {
     for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
     const std::size_t n = app.xnodes.size();
     group_.resize(n);
@@ -206,6 +210,7 @@ class World {
   const Platform& platform_;
   const Policy& policy_;
   Early early_;
+  std::vector<int> app_of_;  ///< Options::app_of
   std::int64_t scale_ = 1;
   std::vector<int> group_;                   ///< [xnode] least XNode of its component
   std::vector<std::int64_t> base_, period_;  ///< [that] 1/scale us
@@ -360,6 +365,10 @@ class Run {
     return true;
   }
 
+  [[nodiscard]] bool of_another_app(std::size_t x, std::size_t i) const {
+    return !w_.app_of_.empty() && w_.app_of_[x] != w_.app_of_[i];
+  }
+
   /// The rule of docs/keys.md, by whoever knows all that is to come: nobody may do more.
   bool may_start_early(std::size_t i, const Job& job) const {
     const std::size_t m = at(w_.policy_.placements[i].xpu);
@@ -367,11 +376,14 @@ class Run {
     for (std::size_t x = 0; x < jobs_.size(); ++x)
       if (x != i && at(w_.policy_.placements[x].xpu) == m &&
           (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0) &&
-          !ended(x, [&](const Job& other) {
-            const bool released = other.release <= now_;
-            if (w_.early_ == Early::kByTheSequence) return released && other.planned < job.planned;
-            return other.key <= job.key && (released || w_.early_ != Early::kOfTheReleased);
-          }))
+          !(of_another_app(x, i) ? !xpu.preemptive || w_.early_ == Early::kOfItsApp
+                                 : ended(x, [&](const Job& other) {
+                                     const bool released = other.release <= now_;
+                                     if (w_.early_ == Early::kByTheSequence)
+                                       return released && other.planned < job.planned;
+                                     return other.key <= job.key &&
+                                            (released || w_.early_ != Early::kOfTheReleased);
+                                   })))
         return false;
     if (w_.early_ == Early::kWithoutSamples) return true;
     for (const auto& [u, v] : w_.app_.samples)
@@ -583,7 +595,32 @@ class Climb {
     return f;
   }
 
+  /// By when it is ready, if it waits for its source, hold and transfers alone.
+  [[nodiscard]] Atoms ready(std::size_t i, std::int64_t n, const Fate& f) const {
+    std::int64_t jitter_us = 0;
+    for (const int s : w_.app_.xnodes[i].sources)
+      jitter_us = std::max(jitter_us, w_.app_.sources[at(s)].jitter_us);
+    return w_.nominal(i, n, f) + w_.planned(i, n, false) + w_.atoms(jitter_us);
+  }
+
+  /// Windows of two clocks on one XPU begin at one instant.
+  void align(Fate& f, std::size_t clock) {
+    const auto last = static_cast<std::int64_t>(w_.wcet_.size()) - 1;
+    for (int tries = 0; tries < 20; ++tries) {
+      const auto i = at(dice_.roll(last)), j = at(dice_.roll(last));
+      if (w_.clock(i) == static_cast<int>(clock) || w_.clock(j) != static_cast<int>(clock) ||
+          w_.policy_.placements[i].xpu != w_.policy_.placements[j].xpu)
+        continue;
+      const Atoms moved =
+          f.phase[clock] + ready(i, 2 + dice_.roll(9), f) - ready(j, dice_.roll(3), f);
+      if (moved < 0) continue;
+      f.phase[clock] = moved;
+      return;
+    }
+  }
+
   void shift(Fate& f, std::size_t clock) {
+    if (!options_.app_of.empty() && dice_.roll(2) > 0) return align(f, clock);
     std::int64_t longest = 1;
     for (std::size_t i = 0; i < w_.wcet_.size(); ++i)
       if (w_.clock(i) == static_cast<int>(clock)) longest = std::max(longest, w_.period(i));
@@ -726,7 +763,7 @@ class Climb {
 
 Found attack(const AppSpec& app, const Platform& platform, const Policy& policy,
              const Options& options) {
-  const World w(app, platform, policy, options.early);
+  const World w(app, platform, policy, options);
   return Climb(w, options).go();
 }
 

@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "model/app.h"
 #include "model/platform.h"
@@ -23,12 +24,14 @@ enum class Early {
   kOfTheReleased,   ///< wrong: of the XPU's jobs those of smaller keys that are released
   kByTheSequence,   ///< wrong: once those have ended that are planned to start before it
   kWithoutSamples,  ///< wrong: whatever it reads
+  kOfItsApp,        ///< wrong where preemption costs: beside another app, as if it were alone
 };
 
 struct Options {
   std::int64_t jobs = 200'000;  ///< to simulate, all executions together
   std::uint64_t seed = 1;
   Early early = Early::kByTheRule;
+  std::vector<int> app_of = {};  ///< as PlayOptions::app_of
 };
 
 struct Found {

@@ -12,6 +12,7 @@
 #include "solver/keys/solve.h"
 
 #include "attack/attack.h"
+#include "attack/pairs.h"
 #include "attack/producer.h"
 
 namespace xauto::attack {
@@ -20,16 +21,17 @@ namespace {
 struct Flags {
   int policies = 40;
   int solved = 10;
+  int pairs = 0;
   std::int64_t jobs = 200'000;
   std::uint64_t seed = 1;
 };
 
-struct Kind {
+struct NamedKind {
   const char* name;
   Wanted wanted;
 };
 
-const Kind kKinds[] = {
+const NamedKind kKinds[] = {
     {"one clock", {.load = 0.6}},
     {"one clock, loaded, preemption 8", {.load = 0.9, .preempt_us = 8}},
     {"one clock, jitter, preemption 5", {.load = 0.6, .preempt_us = 5, .jitter_us = 40}},
@@ -116,7 +118,7 @@ Result<bool> run_solved(const Flags& flags) {
   bool as_it_should = true;
   for (const Fault& fault : kFaults) {
     std::int64_t policies = 0, broken = 0, jobs = 0;
-    for (const Kind& kind : kKinds)
+    for (const NamedKind& kind : kKinds)
       for (int k = 0; k < flags.solved; ++k) {
         const std::uint64_t seed = flags.seed + static_cast<std::uint64_t>(k);
         std::optional<Case> c = valid(seed, kind.wanted);
@@ -154,9 +156,26 @@ Result<bool> run_solved(const Flags& flags) {
   return as_it_should;
 }
 
+/// Two apps together, in place of all else. Exit status 1: what is accepted is late.
+int run_pairs(const Flags& flags) {
+  Tally t;
+  for (int k = 0; k < flags.pairs; ++k)
+    play_pairs(flags.seed + static_cast<std::uint64_t>(k), flags.jobs, t);
+  fmt::print(
+      "{} pairs, {} jobs\n  accepted {}: {} late\n  refused {}: {} exhibited late; {} of {} where "
+      "nobody waits for "
+      "another one\n  refused, but not with preemptions charged per app: {}, of these {} exhibited "
+      "late\n",
+      t.pairs, t.jobs, t.accepted, t.broken, t.refused, t.exhibited, t.alone_late, t.alone,
+      t.per_app, t.per_app_late);
+  if (!t.first.empty()) fmt::print("BROKEN: {}\n", t.first);
+  return t.broken == 0 ? 0 : 1;
+}
+
 Result<int> run(const Flags& flags) {
+  if (flags.pairs > 0) return run_pairs(flags);
   std::int64_t jobs = 0, policies = 0, broken = 0;
-  for (const Kind& kind : kKinds) {
+  for (const NamedKind& kind : kKinds) {
     std::int64_t made = 0, at_key = 0, met = 0, own = 0;
     double fullest = 0;
     for (int k = 0; k < flags.policies; ++k) {
@@ -201,6 +220,7 @@ int main(int argc, char** argv) {
   xauto::cli::Program program("Tries to break policies of keys that the check just accepts.");
   program.option("--policies", flags.policies, "of each kind").shown();
   program.option("--solved", flags.solved, "of each kind by the solver; 0: none").shown();
+  program.option("--pairs", flags.pairs, "of apps on one machine, in place of all these");
   program.option("--jobs", flags.jobs, "to simulate per policy").shown();
   program.option("--seed", flags.seed, "of the first policy").shown();
   if (const auto exit = program.parse(argc, argv)) return *exit;

@@ -40,6 +40,7 @@ struct Wanted {
   std::int64_t jitter_us = 0;
   bool thirds = false;  ///< periods that are no whole microseconds
   bool holds = false;
+  int longest = 5;     ///< XNodes of a component
   bool order = false;  ///< one period and no offsets, so that much is released together; pairs
 };
 
@@ -80,7 +81,7 @@ inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
       c.app.sources.push_back(s);
     }
     const auto first = static_cast<int>(c.app.xnodes.size());
-    const auto count = static_cast<int>(pick(1, 5));
+    const auto count = static_cast<int>(pick(1, wanted.longest));
     int module = -1;
     for (int i = 0; i < count; ++i) {
       XNodeSpec x;

@@ -162,6 +162,8 @@ BEYOND = {
                   "xnode-unknown", "when-both", "when-empty-range", "when-nothing"},
     "emulation": {"order", "twice", "type-unknown", "stop-unknown", "stop-twice", "stop-and-start", "nothing",
                   "repeat-too-soon"},
+    "demand": {"ready-after-key", "release-beyond-the-period", "slip-of-what-is-not-once", "start-after-ready",
+               "start-before-the-release", "xpu-twice"},
     "tables": {"another-app", "more-than-its-table", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
                "scenario-unknown", "served-twice", "stale", "table-twice",
                "table-unknown", "xpu-of-no-implementation", "xpu-unknown"},
@@ -217,6 +219,7 @@ def test_what_the_tools_write_is_valid():
         (folder / "scenarios-2.json").write_text(json.dumps(scenarios))
         written("tables", "solve", "--app", rates, "--platform", "small", "--scenarios", "scenarios-2.json", "--tables", 1,
                 "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t2.json", out="t2.json")
+        written("demand", "check", "--app", rates, "--policy", "p2.json", "--demand-out", "d.json", out="d.json")
         written("simulation", "simulate", "--app", rates, "--platform", "small", "--policy", "p2.json", "--seconds", 2,
                 "--out", "s2.json", out="s2.json")
         for format_, verb in (("check", "check"), ("explanation", "explain")):

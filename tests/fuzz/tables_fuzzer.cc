@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// scenarios.json, tables.json and emulation.json from outside, for an app and a platform of our own: those of
+// scenarios.json, tables.json, emulation.json and demand.json from outside, for an app and a platform of our own: those of
 // tests/golden, and something that the app can do without.
 #include "model/json.h"
 
@@ -37,5 +37,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   };
   fuzz::check_read(
       script(text), [](const EmulationScript& s) { return to_json(s); }, script);
+  const auto demand = [](std::string_view from) { return parse_demand(from, fuzz::kOrigin); };
+  fuzz::check_read(
+      demand(text), [](const Demand& d) { return to_json(d); }, demand);
   return 0;
 }

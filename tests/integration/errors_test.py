@@ -23,6 +23,7 @@ COMMANDS = {
     "policy": lambda f: ["check", "--app", GOLDEN / "app.json", "--platform", GOLDEN / "platform.json",
                          "--policy", f],
     "policy-keys": lambda f: ["check", "--app", GOLDEN / "app-rates.json", "--platform", GOLDEN / "platform.json", "--policy", f],
+    "demand": lambda f: ["solve", "--app", GOLDEN / "app-rates.json", "--platform", GOLDEN / "platform.json", "--beside", f],
     "profile": lambda f: ["profile", "--read", f],
     "recording": lambda f: ["recording", "check", f],
     "mcap": lambda f: ["recording", "check", f],
@@ -63,6 +64,9 @@ class Errors(unittest.TestCase):
     def test_policy(self):
         for kind in ("policy", "policy-keys"):
             self.refuse(kind)
+
+    def test_demand(self):
+        self.refuse("demand")
 
     def test_profile(self):
         self.refuse("profile")

@@ -19,14 +19,15 @@ namespace xauto::cli {
 namespace {
 
 struct SimulateFlags {
-  std::string app, platform, policy, out;
+  std::vector<std::string> apps, policies;
+  std::string platform, out;
   solver::keys::PlayOptions play;
 };
 
 Result<int> simulate(const SimulateFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
-  XAUTO_ASSIGN(const Platform platform, load_platform_of(flags.policy, flags.platform));
-  return simulate_policy(app, platform, flags.policy, flags.play, flags.out, options);
+  XAUTO_ASSIGN(const Apps apps, load_apps(flags.apps));
+  XAUTO_ASSIGN(const Platform platform, load_platform_of_all(flags.policies, flags.platform));
+  return simulate_policy(apps, platform, flags.policies, flags.play, flags.out, options);
 }
 
 }  // namespace
@@ -36,9 +37,9 @@ void add_simulate(Commands& commands) {
   Verb verb = commands.add("simulate", "Play a policy in virtual time, to the microsecond.",
                            "xauto simulate --app app.json --policy policy.json",
                            [flags](const Options& options) { return simulate(*flags, options); });
-  verb.option("--app", flags->app, "app.json").required();
+  verb.option("--app", flags->apps, "app.json; several: they are on one machine").required();
   verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
-  verb.option("--policy", flags->policy, "policy.json").required();
+  verb.option("--policy", flags->policies, "policy.json; one for each --app").required();
   verb.option("--out", flags->out, "write the result here");
   verb.option("--seconds", flags->play.seconds, "how long").range(1, 86400).shown();
   verb.flag("--random-times", flags->play.random_times, "execution times up to the WCET");

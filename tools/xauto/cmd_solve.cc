@@ -33,8 +33,10 @@ void stop_on_interrupt() {
 }
 
 struct SolveFlags {
-  std::string app, platform, out, hint, objective, scenarios;
+  std::vector<std::string> apps, outs;
+  std::string platform, demand_out, hint, objective, scenarios;
   Wishes wishes;
+  BesideFlags beside;
   std::vector<std::string> assume;
   int tables = 0;
   double regret = 0;
@@ -64,15 +66,43 @@ Result<int> solve_tables(const SolveFlags& flags, const AppSpec& app, const Plat
   tables.seed = flags.options.seed;
   tables.stop = &interrupted;
   stop_on_interrupt();
-  return solve_with_tables(app, platform, flags.scenarios, tables, flags.out, options);
+  return solve_with_tables(app, platform, flags.scenarios, tables,
+                           flags.outs.empty() ? "" : flags.outs.front(), options);
+}
+
+/// What goes with one policy of keys alone, and that of one app.
+Status refuse_together(const SolveFlags& flags, const Apps& apps) {
+  const bool together = apps.several() || flags.beside.given() || !flags.demand_out.empty();
+  const std::string what =
+      apps.several() ? "several --app" : "--beside, --reserve and --demand-out";
+  if (!flags.scenarios.empty() && together)
+    return fail(ErrorCode::kInvalid, "does not go with " + what, "--scenarios",
+                "of changes of tables nothing is known beside others");
+  if (flags.options.method != "auto" && together)
+    return fail(ErrorCode::kInvalid, "does not go with " + what, "--method",
+                "leave it out: only a policy of keys has claims beside others");
+  if (!flags.hint.empty() && apps.several())
+    return fail(ErrorCode::kInvalid, "does not go with " + what, "--hint",
+                "leave it out, or solve one app beside the others' demands");
+  if (!flags.assume.empty() && flags.beside.given())
+    return fail(ErrorCode::kInvalid, "does not go with --beside and --reserve", "--assume",
+                "leave it out: changes are looked at for the app alone");
+  if (apps.all.one_at_a_time && !flags.demand_out.empty())
+    return fail(ErrorCode::kInvalid,
+                "sources without a rate release as soon as they can: no demand bounds that",
+                "--demand-out", "state how often they release at most: rate_hz");
+  return one_for_each(apps, flags.outs, "--out");
 }
 
 Result<int> solve(const SolveFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const Apps apps, load_apps(flags.apps));
+  const AppSpec& app = apps.all;
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_TRY(refuse_together(flags, apps));
   SolveFlags read = flags;
   solver::keys::Options& asked = read.options;
-  XAUTO_ASSIGN(asked.wishes, load_objectives(flags.app));
+  XAUTO_ASSIGN(asked.wishes, load_objectives_of(apps, flags.apps));
+  XAUTO_ASSIGN(asked.beside, load_beside(flags.beside, platform));
   XAUTO_TRY(add_to_objectives(flags.wishes, asked.wishes));
   if (!flags.scenarios.empty()) return solve_tables(read, app, platform, options);
   if (flags.tables > 0 || flags.regret > 0)
@@ -92,7 +122,7 @@ Result<int> solve(const SolveFlags& flags, const Options& options) {
   if (flags.objective == "sum") asked.aim = solver::keys::Aim::kSum;
   asked.stop = &interrupted;
   stop_on_interrupt();
-  return solve_policy(app, platform, asked, flags.assume, flags.out, options);
+  return solve_policy(apps, platform, asked, flags.assume, {flags.outs, flags.demand_out}, options);
 }
 
 }  // namespace
@@ -105,9 +135,10 @@ void add_solve(Commands& commands) {
       "case.",
       "xauto solve --app app.json --platform small --time-limit-s 10 --out policy.json",
       [flags](const Options& options) { return solve(*flags, options); });
-  verb.option("--app", flags->app, "app.json").required();
+  verb.option("--app", flags->apps, "app.json; several: for one machine, each with its claims")
+      .required();
   verb.option("--platform", flags->platform, kPlatformNames).required();
-  verb.option("--out", flags->out, "where policy.json goes");
+  verb.option("--out", flags->outs, "where policy.json goes; one for each --app");
   verb.option(
           "--method", flags->options.method,
           "how; search and ilp plan one release, where no source has a rate; heft and local give "
@@ -124,6 +155,9 @@ void add_solve(Commands& commands) {
               "end after this many schedules; the answer then depends on seed and threads only")
       .not_negative();
   add_wishes(verb, flags->wishes);
+  add_beside(verb, flags->beside);
+  verb.option("--demand-out", flags->demand_out,
+              "demand.json: what others have to know to be planned beside it");
   verb.option("--hint", flags->hint,
               "a policy.json of this app, or of an earlier version of it, to begin with");
   verb.option("--assume", flags->assume,

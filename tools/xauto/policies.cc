@@ -14,7 +14,9 @@
 #include "model/components.h"
 #include "model/json.h"
 #include "model/json_value.h"
+#include "model/together.h"
 #include "solver/keys/check.h"
+#include "solver/keys/lower_bounds.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/what_if.h"
 
@@ -32,6 +34,10 @@ constexpr std::size_t kProofColumns = 28;  ///< before what shows that jobs end 
 constexpr std::size_t kMostPrices = 12;    ///< of modules in one line
 /// Where nothing is certified, so much of the time limit more: for the best policy, and for what would help.
 constexpr double kForUncertified = 0.4, kForRemedies = 0.2;
+/// Of the time limit more, for the policy of the app alone where none is found beside others; and for the lower bounds
+/// of each of several apps.
+constexpr double kForAlone = 0.2, kForBoundsAlone = 0.05;
+constexpr std::size_t kMostFails = 4;  ///< XPUs that are told
 
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
@@ -52,6 +58,29 @@ std::string shape(const AppSpec& app) {
   if (parts->domains.size() == 1 && parts->domains[0].hyperperiod_ticks)
     text += ", repeats every " + ms_of(static_cast<double>(*parts->domains[0].hyperperiod_ticks) /
                                        static_cast<double>(parts->ticks_per_us));
+  return text;
+}
+
+/// Whom worst cases are for.
+std::string scope(const Apps& apps, bool beside) {
+  constexpr std::string_view kAlone = "this app alone";
+  std::string text = scope_of(apps.all.one_at_a_time);
+  if (const std::size_t at = text.find(kAlone);
+      (apps.several() || beside) && at != std::string::npos)
+    text.replace(at, kAlone.size(),
+                 std::string(apps.several() ? "these apps" : "this app") +
+                     (beside ? ", those of the demands, and nobody else" : " alone"));
+  return text;
+}
+
+std::string name_of_all(const Beside& beside) {
+  std::string text;
+  if (!beside.demands.empty())
+    text = fmt::format("beside {} {}", beside.demands.size(),
+                       beside.demands.size() == 1 ? "demand" : "demands");
+  if (beside.reserve_pct > 0)
+    text +=
+        fmt::format("{}with {} % of each XPU left", text.empty() ? "" : ", ", beside.reserve_pct);
   return text;
 }
 
@@ -417,11 +446,77 @@ Result<std::vector<keys::WhatIf>> ask_assumed(const AppSpec& app, const Platform
   return ifs;
 }
 
+/// The policies of several apps, in the order of --out.
+void write_policies(const Apps& apps, const Platform& platform, const Policy& policy,
+                    const std::vector<std::string>& paths, Outputs& outputs, bool tell) {
+  const std::vector<Policy> parts = split_policy(apps.each, policy);
+  for (std::size_t a = 0; a < paths.size(); ++a)
+    outputs.write(paths[a], to_json(parts[a], apps.each[a], platform));
+  if (tell && !paths.empty() && outputs.good())
+    std::cout << fmt::format("\n  written to {}\n", fmt::join(paths, ", "));
+}
+
+Status write_demand(const AppSpec& app, const Platform& platform, const Policy& policy,
+                    const std::string& path, Outputs& outputs) {
+  if (path.empty()) return {};
+  XAUTO_ASSIGN(const Demand demand, keys::demand_of(app, platform, policy));
+  outputs.write(path, to_json(demand));
+  return {};
+}
+
+/// That nothing was found beside others, or with a reserve: by how much the best alone does not fit.
+tl::unexpected<Error> does_not_fit(const AppSpec& app, const Platform& platform,
+                                   const keys::Options& asked, const keys::Answer& found) {
+  std::string why = "no policy that keeps up was found even without them";
+  if (found.outcome == keys::Outcome::kUnsustainable)
+    why = "none keeps up even alone: " + found.overload.text;
+  keys::Options alone = asked;
+  alone.beside = {};
+  alone.time_limit_s = kForAlone * asked.time_limit_s;
+  if (const auto answer = keys::solve(app, platform, alone);
+      answer && answer->outcome == keys::Outcome::kPolicy)
+    if (const auto report = keys::examine(app, platform, answer->policy, asked.beside); report) {
+      std::vector<std::string> fails;  // XPUs
+      for (const Error& lie : report->lies)
+        if (fails.size() < kMostFails) fails.push_back(lie.where + ": " + lie.what);
+      why = fmt::format("the best alone fails: {}", fmt::join(fails, "; "));
+    }
+  return fail(ErrorCode::kInfeasible,
+              fmt::format("no policy was found {} in {:g} s; {}", name_of_all(asked.beside),
+                          asked.time_limit_s, why),
+              app.name + " on " + platform.name,
+              "give it more time, later deadlines or less work; or plan all again, with --reserve");
+}
+
+/// Of each app alone: a bound that knows the others would be of nothing that a user sees in one policy.json.
+void claim_bounds_alone(const Apps& apps, const Platform& platform, const keys::Options& asked,
+                        Policy& policy) {
+  if (!apps.several()) return;
+  std::size_t chain = 0;
+  for (const AppSpec& app : apps.each) {
+    const auto p = keys::Problem::create(app, platform);
+    const std::chrono::duration<double> limit(kForBoundsAlone * std::min(asked.time_limit_s, 1e6));
+    const solver::Until until{
+        std::chrono::steady_clock::now() +
+            std::chrono::duration_cast<std::chrono::steady_clock::duration>(limit),
+        asked.stop};
+    std::vector<keys::Tick> bounds(app.chains.size(), 0);
+    if (p) bounds = keys::lower_bounds(*p, app, platform, {}, 0, until);
+    for (const keys::Tick bound : bounds) {
+      ChainClaim& claim = policy.chains[chain++];
+      claim.lower_bound_us = p && bound > 0 ? p->up_to_us(bound) / p->scale : 0;
+      claim.optimal = claim.lower_bound_us == claim.worst_case_us;
+    }
+  }
+}
+
 /// Nothing is certified: the best policy all the same, without claims, and what would help.
-Result<int> solve_uncertified(const AppSpec& app, const Platform& platform,
+Result<int> solve_uncertified(const Apps& apps, const Platform& platform,
                               const keys::Answer& answer, const keys::Options& asked,
-                              const std::vector<std::string>& assume, const std::string& out,
-                              Outputs& outputs, const Options& options) {
+                              const std::vector<std::string>& assume,
+                              const std::vector<std::string>& out, Outputs& outputs,
+                              const Options& options) {
+  const AppSpec& app = apps.all;
   keys::Options half = asked;
   half.time_limit_s = kForUncertified * asked.time_limit_s;
   XAUTO_ASSIGN(const keys::Uncertified found, keys::least_late(app, platform, half));
@@ -449,9 +544,7 @@ Result<int> solve_uncertified(const AppSpec& app, const Platform& platform,
   text += what_if_table(app, found.policy, ifs, assumed_s(asked)) + words_of(rare, app);
   std::cout << (options.json ? told.dump(2) + "\n" : text);
   std::cout.flush();
-  if (!out.empty()) outputs.write(out, to_json(found.policy, app, platform));
-  if (!options.json && !out.empty() && outputs.good())
-    std::cout << fmt::format("\n  written to {}\n", out);
+  write_policies(apps, platform, found.policy, out, outputs, !options.json);
   return outputs.status(kAnswerIsNo);
 }
 
@@ -558,24 +651,44 @@ Result<int> solve_baseline(const AppSpec& app, const Platform& platform, const k
 
 }  // namespace
 
-Result<int> solve_policy(const AppSpec& app, const Platform& platform, const keys::Options& asked,
-                         const std::vector<std::string>& assume, const std::string& out,
+namespace {
+
+Json json_of(const Apps& apps, const Platform& platform, const Policy& policy) {
+  if (!apps.several()) return Json::parse(to_json(policy, apps.all, platform)).value_or(Json());
+  Json root = {{"schema", "xauto.policies"}, {"version", 1}, {"policies", Json::array()}};
+  const std::vector<Policy> parts = split_policy(apps.each, policy);
+  for (std::size_t a = 0; a < parts.size(); ++a)
+    root["policies"].push_back(
+        Json::parse(to_json(parts[a], apps.each[a], platform)).value_or(Json()));
+  return root;
+}
+
+}  // namespace
+
+Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys::Options& asked,
+                         const std::vector<std::string>& assume, const SolveOut& out,
                          const Options& options) {
+  const AppSpec& app = apps.all;
   if (asked.method == "heft" || asked.method == "local")
-    return solve_baseline(app, platform, asked, out, options);
+    return solve_baseline(app, platform, asked, out.policies.empty() ? "" : out.policies.front(),
+                          options);
   Outputs outputs;
-  XAUTO_TRY(outputs.expect("--out", out));
+  for (const std::string& path : out.policies) XAUTO_TRY(outputs.expect("--out", path));
+  XAUTO_TRY(outputs.expect("--demand-out", out.demand));
   SearchLine line;
   keys::Options solving = asked;
   solving.on_progress = [&](const keys::Progress& progress) { show(line, progress); };
   auto solved = keys::solve(app, platform, solving);
   line.end();
   if (!solved) return tl::unexpected<Error>(std::move(solved).error());
-  const keys::Answer& answer = *solved;
+  keys::Answer& answer = *solved;
+  if (answer.outcome != keys::Outcome::kPolicy && !asked.beside.nobody())
+    return does_not_fit(app, platform, asked, answer);
   if (answer.outcome != keys::Outcome::kPolicy)
-    return solve_uncertified(app, platform, answer, asked, assume, out, outputs, options);
+    return solve_uncertified(apps, platform, answer, asked, assume, out.policies, outputs, options);
+  claim_bounds_alone(apps, platform, asked, answer.policy);
   // No worst case is told that code of its own does not derive again.
-  const auto checked = keys::check(app, platform, answer.policy);
+  const auto checked = keys::check(app, platform, answer.policy, asked.beside);
   if (!checked && checked.error().code == ErrorCode::kUnavailable)  // nobody could check it
     return tl::unexpected<Error>(checked.error());
   if (!checked)
@@ -588,7 +701,7 @@ Result<int> solve_policy(const AppSpec& app, const Platform& platform, const key
   const bool never = app.has_deadlines() && answer.bounds.largest > 1;
   const std::vector<RareWcet> rare = rare_in(app, platform, answer.policy, *checked);
   if (options.json) {
-    Json root = Json::parse(to_json(answer.policy, app, platform)).value_or(Json());
+    Json root = json_of(apps, platform, answer.policy);
     root["evaluations"] = answer.evaluations;
     root["first_answer_ms"] = answer.first_answer_ms;
     root["proofs"] = proofs(*checked);
@@ -612,7 +725,8 @@ Result<int> solve_policy(const AppSpec& app, const Platform& platform, const key
                      "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
                      "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
-                     scope_of(app.one_at_a_time))
+                     scope(apps, !asked.beside.demands.empty()))
+              << (asked.beside.nobody() ? "" : "  Proven " + name_of_all(asked.beside) + ".\n")
               << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs, assumed_s(asked));
@@ -624,9 +738,8 @@ Result<int> solve_policy(const AppSpec& app, const Platform& platform, const key
     std::cout << words_of(rare, app);
   }
   std::cout.flush();
-  if (!out.empty()) outputs.write(out, to_json(answer.policy, app, platform));
-  if (!options.json && !out.empty() && outputs.good())
-    std::cout << fmt::format("\n  written to {}\n", out);
+  write_policies(apps, platform, answer.policy, out.policies, outputs, !options.json);
+  XAUTO_TRY(write_demand(app, platform, answer.policy, out.demand, outputs));
   return outputs.status(late ? kAnswerIsNo : kDone);
 }
 
@@ -802,50 +915,11 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Pol
   return status;
 }
 
-Result<int> check_policy(const AppSpec& app, const Platform& platform, const std::string& path,
-                         const solver::Objectives& asked, const Options& options) {
-  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
-  XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
-  if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
-  XAUTO_ASSIGN(const keys::CheckReport report, keys::examine(app, platform, policy));
-  std::vector<std::string> lies;
-  for (const Error& lie : report.lies) lies.push_back(lie.to_string());
-  std::vector<std::string> missed = broken;
-  for (const keys::ChainProof& chain : report.chains)
-    if (chain.late())
-      missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
-                                   ms(*chain.deadline_us)));
-  const int status = lies.empty() && missed.empty() ? kDone : kAnswerIsNo;
-  std::vector<std::vector<std::string>> paths;  // [chain]
-  WholePaths whole(app, platform, policy);
-  for (std::size_t c = 0; c < report.chains.size(); ++c)
-    paths.push_back(names_on_path(app, whole.of(app.chains[c], report.chains[c].path), c));
-  if (options.json) {
-    Json root = {{"schema", "xauto.check"},  {"version", 2},
-                 {"truthful", lies.empty()}, {"lies", lies},
-                 {"missed", missed},         {"taken", report.taken},
-                 {"proofs", proofs(report)}, {"chains", Json::array()}};
-    for (std::size_t c = 0; c < report.chains.size(); ++c) {
-      const keys::ChainProof& chain = report.chains[c];
-      Json j = {{"name", chain.name},
-                {"worst_case_us", chain.derived_us},
-                {"claimed_us", chain.claimed_us},
-                {"own_bound_us", chain.own_bound_us},
-                {"claimed_bound_us", chain.claimed_bound_us},
-                {"late", chain.late()},
-                {"path", paths[c]}};
-      if (chain.urgent_us) {
-        j["urgent_worst_case_us"] = *chain.urgent_us;
-        j["claimed_urgent_us"] = chain.claimed_urgent_us.value_or(0);
-      }
-      root["chains"].push_back(std::move(j));
-    }
-    std::cout << root.dump(2) << "\n";
-    return status;
-  }
-  for (const std::string& lie : lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
-  if (!report.windows.empty())
-    std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
+namespace {
+
+/// Each chain with what was derived, what is claimed, and its worst path.
+void show_chains(const keys::CheckReport& report,
+                 const std::vector<std::vector<std::string>>& ways) {
   if (!report.chains.empty())
     std::cout << "\n"
               << row_of("chain", kNameColumns)
@@ -859,16 +933,96 @@ Result<int> check_policy(const AppSpec& app, const Platform& platform, const std
       std::cout << row_of("  urgent", kNameColumns)
                 << fmt::format("{:>11}{:>11}\n", ms(*chain.urgent_us),
                                ms(chain.claimed_urgent_us.value_or(0)));
-    std::cout << wrapped(fmt::format("    along {}", fmt::join(paths[c], " > ")), 6) << "\n";
+    std::cout << wrapped(fmt::format("    along {}", fmt::join(ways[c], " > ")), 6) << "\n";
   }
+}
+
+/// `report` is of the policy alone. Whether it holds beside others, too: then it is of that, else what fails is missed.
+Result<bool> examine_beside(const AppSpec& app, const Platform& platform, const Policy& policy,
+                            const Beside& beside, keys::CheckReport& report,
+                            std::vector<std::string>& missed) {
+  if (beside.nobody() || !report.lies.empty()) return report.lies.empty();
+  XAUTO_ASSIGN(keys::CheckReport with, keys::examine(app, platform, policy, beside));
+  for (const Error& lie : with.lies)
+    missed.push_back(name_of_all(beside) + ": " + lie.where + ": " + lie.what);
+  if (!with.lies.empty()) return false;
+  report = std::move(with);
+  return true;
+}
+
+}  // namespace
+
+Result<int> check_policy(const Apps& apps, const Platform& platform,
+                         const std::vector<std::string>& paths, const solver::Objectives& asked,
+                         const BesideFlags& others, const std::string& demand,
+                         const Options& options) {
+  const AppSpec& app = apps.all;
+  const std::string path = fmt::format("{}", fmt::join(paths, ", "));
+  XAUTO_ASSIGN(const Policy policy, load_policies(apps, paths, platform));
+  XAUTO_ASSIGN(std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
+  XAUTO_ASSIGN(const Beside beside, load_beside(others, platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--demand-out", demand));
+  if (!policy.certified && (!beside.nobody() || !demand.empty()))
+    return fail(ErrorCode::kInvalid, "is not certified: nothing bounds what it asks of an XPU",
+                path, "leave --beside, --reserve and --demand-out out");
+  if (!policy.certified) return check_places(app, platform, policy, path, broken, options);
+  XAUTO_ASSIGN(keys::CheckReport report, keys::examine(app, platform, policy));
+  XAUTO_ASSIGN(const bool fits, examine_beside(app, platform, policy, beside, report, broken));
+  for (const std::string& file : others.demands)
+    if (fits) report.taken.push_back(file + ": that the apps which it is of ask for no more");
+  std::vector<std::string> lies;
+  for (const Error& lie : report.lies) lies.push_back(lie.to_string());
+  std::vector<std::string> missed = broken;
+  for (const keys::ChainProof& chain : report.chains)
+    if (chain.late())
+      missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
+                                   ms(*chain.deadline_us)));
+  const int status = lies.empty() && missed.empty() ? kDone : kAnswerIsNo;
+  std::vector<std::vector<std::string>> ways;  // [chain]
+  WholePaths whole(app, platform, policy);
+  for (std::size_t c = 0; c < report.chains.size(); ++c)
+    ways.push_back(names_on_path(app, whole.of(app.chains[c], report.chains[c].path), c));
+  if (options.json) {
+    Json root = {{"schema", "xauto.check"},  {"version", 2},
+                 {"truthful", lies.empty()}, {"lies", lies},
+                 {"missed", missed},         {"taken", report.taken},
+                 {"proofs", proofs(report)}, {"chains", Json::array()}};
+    for (std::size_t c = 0; c < report.chains.size(); ++c) {
+      const keys::ChainProof& chain = report.chains[c];
+      Json j = {{"name", chain.name},
+                {"worst_case_us", chain.derived_us},
+                {"claimed_us", chain.claimed_us},
+                {"own_bound_us", chain.own_bound_us},
+                {"claimed_bound_us", chain.claimed_bound_us},
+                {"late", chain.late()},
+                {"path", ways[c]}};
+      if (chain.urgent_us) {
+        j["urgent_worst_case_us"] = *chain.urgent_us;
+        j["claimed_urgent_us"] = chain.claimed_urgent_us.value_or(0);
+      }
+      root["chains"].push_back(std::move(j));
+    }
+    std::cout << root.dump(2) << "\n";
+    if (lies.empty()) XAUTO_TRY(write_demand(app, platform, policy, demand, outputs));
+    return outputs.status(status);
+  }
+  for (const std::string& lie : lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
+  if (!report.windows.empty())
+    std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
+  show_chains(report, ways);
   for (const std::string& wish : broken) std::cout << wrapped("  MISSED " + wish, 9) << "\n";
   for (const std::string& taken : report.taken)
     std::cout << wrapped("  taken  " + taken, 9) << "\n";
   std::cout << (lies.empty()
-                    ? fmt::format("\n{} tells the truth: {}.\n", path, scope_of(app.one_at_a_time))
+                    ? fmt::format(
+                          "\n{} {} the truth{}{}: {}.\n", path, apps.several() ? "tell" : "tells",
+                          beside.nobody() || !fits ? "" : ", ", fits ? name_of_all(beside) : "",
+                          scope(apps, fits && !beside.demands.empty()))
                     : words_of_lies(path, lies.size()))
             << words_of_missed(missed);
-  return status;
+  if (lies.empty()) XAUTO_TRY(write_demand(app, platform, policy, demand, outputs));
+  return outputs.status(status);
 }
 
 namespace {
@@ -932,13 +1086,16 @@ std::string tell_chains(const keys::PlayReport& played, Json& chains) {
 
 }  // namespace
 
-Result<int> simulate_policy(const AppSpec& app, const Platform& platform, const std::string& path,
-                            const keys::PlayOptions& asked, const std::string& out,
-                            const Options& options) {
-  XAUTO_ASSIGN(const Policy policy, load_policy(path, app, platform));
+Result<int> simulate_policy(const Apps& apps, const Platform& platform,
+                            const std::vector<std::string>& paths, const keys::PlayOptions& asked,
+                            const std::string& out, const Options& options) {
+  const AppSpec& app = apps.all;
+  XAUTO_ASSIGN(const Policy policy, load_policies(apps, paths, platform));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
-  XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, asked));
+  keys::PlayOptions play = asked;
+  if (apps.several()) play.app_of = apps_of_xnodes(apps.each);
+  XAUTO_ASSIGN(const keys::PlayReport played, keys::play(app, platform, policy, play));
   Json xnodes = Json::array(), chains = Json::array();
   std::string table = tell_played(app, platform, policy, played, xnodes);
   table += "\n" + tell_chains(played, chains);

@@ -300,6 +300,26 @@ TEST(Golden, EveryMalformedEmulationScriptIsRefusedWithItsMessage) {
   });
 }
 
+TEST(Golden, ADemandIsWrittenAsItWasRead) {
+  const std::string text = slurp(golden() / "demand.json");
+  const auto demand = parse_demand(text, "demand.json");
+  ASSERT_TRUE(demand) << demand.error().to_string();
+  EXPECT_EQ(to_json(*demand), text);
+  EXPECT_EQ(demand->xpus[0].sequences[1].jobs[0], (DemandJob{0, 900, -600, 15600, 12825, true}));
+  EXPECT_TRUE(validate_on(*demand, golden_platform()));
+  Platform other = golden_platform();
+  other.xpus.back().preemptive = true;
+  EXPECT_FALSE(validate_on(*demand, other)) << "it was planned for an XPU that does not preempt";
+  other.xpus.pop_back();
+  EXPECT_FALSE(validate_on(*demand, other));
+}
+
+TEST(Golden, EveryMalformedDemandIsRefusedWithItsMessage) {
+  every_case("demand", 13, [&](const std::string& text, const std::string& name) {
+    return parse_demand(text, name);
+  });
+}
+
 TEST(Golden, EveryMalformedPolicyOfKeysIsRefusedWithItsMessage) {
   const AppSpec app = app_with_rates();
   const Platform platform = golden_platform();

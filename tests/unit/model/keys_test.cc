@@ -74,6 +74,7 @@ Status read(const std::string& kind, const std::string& text, Keys* keys) {
   if (format == "profile") return status(parse_profile(text, format, keys));
   if (format == "policy") return status(parse_policy(text, format, of, platform, keys));
   if (format == "scenarios") return status(parse_scenarios(text, format, app, platform, keys));
+  if (format == "demand") return status(parse_demand(text, format, keys));
   if (format == "emulation") return status(parse_emulation_script(text, format, platform, keys));
   if (format == "tables") return status(parse_tables(text, format, of, platform, keys));
   return status(parse_deployment(text, format, app, keys));
@@ -98,7 +99,7 @@ std::string golden(const std::string& format) {
 
 const char* const kGolden[] = {"app",    "app-rates",   "platform",  "profile",
                                "policy", "policy-keys", "scenarios", "deployment",
-                               "tables", "tables-keys", "emulation"};
+                               "tables", "tables-keys", "emulation", "demand"};
 
 TEST(Keys, SchemasHaveTheKeysThatTheReadersAskFor) {
   std::map<std::string, std::set<std::string>> known;  // by format

@@ -10,8 +10,8 @@
 
 namespace xauto::solver::keys::test {
 
-inline bool certified(const attack::Case& c) {
-  const auto p = Problem::create(c.app, c.platform, {}, c.policy.order);
+inline bool certified_beside(const attack::Case& c, const Beside& beside) {
+  const auto p = Problem::create(c.app, c.platform, {}, c.policy.order, beside);
   if (!p) return false;
   std::vector<int> xpu;
   for (int i = 0; i < p->num_xnodes; ++i) {
@@ -23,6 +23,10 @@ inline bool certified(const attack::Case& c) {
   }
   Windows w = keys_and_holds(*p, c.policy);
   return certify(*p, xpu, w);
+}
+
+inline bool certified(const attack::Case& c) {
+  return certified_beside(c, {});
 }
 
 }  // namespace xauto::solver::keys::test
