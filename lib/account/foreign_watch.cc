@@ -101,7 +101,7 @@ Runners runners_on(int core, pid_t own, const std::string& proc) {
 ForeignWatch::ForeignWatch(const Session& session, Board& board, bool leads)
     : board_(board),
       leads_(leads),
-      own_(session.coordinators.empty() ? "" : stem_of(session.coordinators.begin()->second)),
+      own_(session.own_sockets),
       xpus_(real_xpus_of(session)),
       seen_(xpus_.size(), 0),
       looks_(xpus_.size(), 0) {}
@@ -116,7 +116,8 @@ void ForeignWatch::look(std::int64_t now_ns) {
 void ForeignWatch::look_for_runs() {
   for (const Holder& holder : holders(own_))
     for (std::size_t x = 0; x < xpus_.size() && x < board_.shape().xpus; ++x)
-      if (xpus_[x].hardware == holder.hardware) board_.xpu(x).tell_shared(holder.words());
+      if (xpus_[x].hardware == holder.hardware && !(xpus_[x].shared && holder.shared))
+        board_.xpu(x).tell_shared(holder.words());
 }
 
 /// Nobody knows who had the core then. Whoever is there now was probably there before.

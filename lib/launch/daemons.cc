@@ -25,7 +25,7 @@ namespace {
 
 constexpr int kReadyTimeoutMs = 10'000;
 constexpr int kEarlyGraceMs = 2'000;
-constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
+constexpr int kMaxSharedRestarts = 100'000;  ///< runs come and go
 constexpr int kStartAttempts = 5;  ///< in a row
 
 /// Starts a daemon and waits until it says that its socket is there.
@@ -143,6 +143,7 @@ Result<UniqueFd> Daemons::start_shared(const std::string& hardware, Discipline d
   daemon.options.argv = {bin_ + "/xauto-coordinator", "--shared-as",
                          std::to_string(static_cast<int>(discipline)), "--levels",
                          std::to_string(levels)};
+  daemon.most_restarts = kMaxSharedRestarts;
   XAUTO_TRY(start_coordinator(std::move(daemon), hardware, std::move(its)));
   return ours;
 }
@@ -182,7 +183,7 @@ bool Daemons::restart(Daemon& daemon, const Exit& exit) {
   ++deaths_;
   Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
   // One that dies while it starts is followed, too, but not for ever.
-  for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= kMaxRestarts; ++attempt) {
+  for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= daemon.most_restarts; ++attempt) {
     ++daemon.starts;
     child = start_daemon(daemon.name, daemon.options);
     if (child || child.error().code != ErrorCode::kUnavailable) break;

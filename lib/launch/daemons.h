@@ -26,6 +26,8 @@ namespace xauto::launch {
 /// Between SIGTERM and SIGKILL.
 inline constexpr int kGraceMs = 2'000;
 
+inline constexpr int kMaxRestarts = 100;  ///< of one daemon of a run; then it stays dead, see supervisor.h
+
 /// Names of sockets that are no coordinator's; those have their XPUs'.
 inline constexpr const char* kHubName = "hub";
 inline constexpr const char* kEmudName = "emud";
@@ -77,6 +79,7 @@ class Daemons {
     UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
     std::int64_t start_up_us = 0;  ///< CPU time of a coordinator until it served
     int starts = 1;
+    int most_restarts = kMaxRestarts;
     int deaths = 0;            ///< after which it was started again
     std::size_t note = 0;      ///< where the notes say so
     Pulse pulse;               ///< a coordinator's

@@ -112,6 +112,7 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
     names.insert(names.end(), of_xpus.begin(), of_xpus.end());
     XAUTO_ASSIGN(Sockets sockets, Sockets::open(names));
     for (const std::string& mark : of_xpus) marks.push_back(sockets.take(mark));
+    session.own_sockets = sockets.stem();
     XAUTO_TRY(daemons.start_emulator(session, sockets));
     emulator_ = daemons.emulator();
     if (session.scheduling != runtime::Scheduling::kXAuto) return {};

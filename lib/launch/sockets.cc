@@ -34,10 +34,11 @@ Result<Sockets> Sockets::open(const std::vector<std::string>& names) {
   for (int left = kTries;;) {
     XAUTO_ASSIGN(const std::string secret, new_secret());
     all.sockets_.clear();
+    all.stem_ = kSocketPrefix + all.run_ + "/" + secret + "/";
     Status status;
     for (const std::string& name : names) {
       Socket& socket = all.sockets_[name];
-      socket.address = kSocketPrefix + all.run_ + "/" + secret + "/" + name;
+      socket.address = all.stem_ + name;
       auto listener = name.starts_with(runtime::kMark) ? hold_abstract(socket.address)
                                                        : listen_abstract(socket.address);
       if (!listener) {

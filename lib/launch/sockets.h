@@ -26,6 +26,8 @@ class Sockets {
 
   /// "<pid>-<n>".
   [[nodiscard]] const std::string& run() const { return run_; }
+  /// What all of their addresses begin with (stem_of).
+  [[nodiscard]] const std::string& stem() const { return stem_; }
   /// Whether it was one of `names`.
   [[nodiscard]] bool has(const std::string& name) const { return sockets_.count(name) != 0; }
   /// Of one of `names`.
@@ -38,7 +40,7 @@ class Sockets {
     std::string address;
     UniqueFd listener;
   };
-  std::string run_;
+  std::string run_, stem_;
   std::map<std::string, Socket> sockets_;
 };
 

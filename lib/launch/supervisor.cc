@@ -115,6 +115,7 @@ class Supervisor {
     names.insert(names.end(), marks.begin(), marks.end());
     XAUTO_ASSIGN(Sockets sockets, Sockets::open(names));
     for (const std::string& mark : marks) marks_.push_back(sockets.take(mark));
+    session.own_sockets = sockets.stem();
     XAUTO_TRY(daemons_->start_emulator(session, sockets, request_.emulation));
     if (runs) {
       board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <utility>
 
+#include <fcntl.h>
 #include <sys/random.h>
 #include <sys/socket.h>
 
@@ -49,6 +50,8 @@ SystemService::~SystemService() {
 
 void SystemService::run(int stop_fd) {
   thread_.check();
+  const int listener = options_.listener.get();
+  fcntl(listener, F_SETFL, fcntl(listener, F_GETFL) | O_NONBLOCK);  // systemd's may wait
   for (;;) {
     std::vector<pollfd> fds = {{stop_fd, POLLIN, 0}, {options_.listener.get(), POLLIN, 0}};
     for (const auto& [fd, guest] : guests_) fds.push_back({fd, POLLIN, 0});

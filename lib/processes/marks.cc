@@ -14,6 +14,8 @@
 namespace xauto::runtime {
 namespace {
 
+constexpr const char* kSharedMark = "+";  ///< behind the hardware's name
+
 bool uses(const Session& session, int xpu) {
   if (session.scheduling == Scheduling::kRos2) return true;
   for (std::size_t t = 0; t < session.num_tables(); ++t)
@@ -43,6 +45,7 @@ std::vector<RealXpu> real_xpus_of(const Session& session) {
       found[x] = {"core" + std::to_string(cores[instance]), cores[instance]};
     else
       found[x] = {session.platform.xpus[x].id, -1};
+    found[x].shared = session.shares(session.platform.xpus[x].id);
   }
   return found;
 }
@@ -51,7 +54,7 @@ std::vector<std::string> marks_of(const Session& session) {
   std::vector<std::string> marks;
   if (session.mode != Mode::kRun) return marks;
   for (const RealXpu& xpu : real_xpus_of(session))
-    if (!xpu.hardware.empty()) marks.push_back(kMark + xpu.hardware);
+    if (!xpu.hardware.empty()) marks.push_back(kMark + xpu.hardware + (xpu.shared ? kSharedMark : ""));
   std::sort(marks.begin(), marks.end());
   marks.erase(std::unique(marks.begin(), marks.end()), marks.end());
   return marks;
@@ -67,7 +70,10 @@ std::vector<Holder> holders(const std::string& own) {
     const auto parsed = parse_address(address);
     if (!parsed || !parsed->name.starts_with(kMark) || (!own.empty() && stem_of(address) == own))
       continue;
-    found.push_back({parsed->name.substr(std::strlen(kMark)), parsed->run, uid_of(parsed->pid)});
+    std::string hardware = parsed->name.substr(std::strlen(kMark));
+    const bool shared = hardware.ends_with(kSharedMark);
+    if (shared) hardware.resize(hardware.size() - std::strlen(kSharedMark));
+    found.push_back({std::move(hardware), parsed->run, uid_of(parsed->pid), shared});
   }
   return found;
 }

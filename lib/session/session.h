@@ -114,6 +114,7 @@ struct Session {
   bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
   /// XPU id -> where its coordinator is (coord/door.h); empty: none
   std::map<std::string, std::string> coordinators;
+  std::string own_sockets;  ///< what the names of all abstract sockets of this run begin with
   ReleaseRequest releases;
   ProfileRequest profile;
   LoadRequest load;
@@ -148,10 +149,14 @@ struct Session {
   /// Order constraints of all tables on this XPU, between tasks.
   [[nodiscard]] std::vector<std::pair<std::uint32_t, std::uint32_t>> order_on(int xpu) const;
 
-  /// Some of its XPUs other runs use as well, under coordinators of the machine.
-  [[nodiscard]] bool shares() const {
+  /// Other runs use that XPU as well, under a coordinator of the machine.
+  [[nodiscard]] bool shares(const std::string& xpu) const {
+    const auto found = coordinators.find(xpu);
+    return found != coordinators.end() && found->second.starts_with('/');
+  }
+  [[nodiscard]] bool shares() const {  ///< some XPU
     return std::any_of(coordinators.begin(), coordinators.end(),
-                       [](const auto& one) { return one.second.starts_with('/'); });
+                       [this](const auto& one) { return shares(one.first); });
   }
   [[nodiscard]] Presence presence_of(int xpu) const {
     return presence.empty() ? Presence::kReal : presence[static_cast<std::size_t>(xpu)];

@@ -155,6 +155,33 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Po
   return report;
 }
 
+Status check_together(const std::vector<Demand>& demands) {
+  checking::Ticks ticks = 1;
+  for (const Demand& demand : demands) {
+    XAUTO_TRY(validate(demand));
+    ticks = lcm(ticks, demand.ticks_per_us);
+    if (ticks == 0)
+      return fail(ErrorCode::kInvalid, "the ticks of the demands have no multiple that fits",
+                  "demands", "state periods as ratios of smaller numbers");
+  }
+  if (demands.empty()) return {};
+  for (const DemandOnXpu& wanted : demands.back().xpus) {
+    Beside all{.demands = {}, .reserve_pct = 0};
+    for (const Demand& demand : demands) {
+      const auto on = std::ranges::find(demand.xpus, wanted.xpu.id,
+                                        [](const DemandOnXpu& other) { return other.xpu.id; });
+      if (on == demand.xpus.end()) continue;
+      if (on->xpu != wanted.xpu)
+        return fail(ErrorCode::kInvalid,
+                    "one app has it that it preempts, at what cost, or its levels otherwise than another",
+                    "XPU " + wanted.xpu.id, "plan both apps for one platform.json");
+      all.demands.push_back({demand.ticks_per_us, {*on}});
+    }
+    XAUTO_TRY(checking::prove_together(wanted.xpu, ticks, all));
+  }
+  return {};
+}
+
 Result<Demand> demand_of(const AppSpec& app, const Platform& platform, const Policy& policy) {
   if (app.one_at_a_time) return checking::takes_all(app);
   XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false));

@@ -79,6 +79,11 @@ struct CheckReport {
 [[nodiscard]] Result<Demand> demand_of(const AppSpec& app, const Platform& platform,
                                        const Policy& policy);
 
+/// Whether the last of these apps can come to the others: on each XPU that it uses, and be it alone there, all demands
+/// together have a proof. Then every claim of each of them stands (docs/keys.md, "Apps compose"). kInfeasible: on which
+/// XPU they do not fit, and by how much; kInvalid: they do not agree on what that XPU is.
+[[nodiscard]] Status check_together(const std::vector<Demand>& demands);
+
 /// What a policy states that is not certified: it is for this app, each XNode is where it can run, and its order leaves
 /// a way through. Nothing of times.
 [[nodiscard]] Status check_places(const AppSpec& app, const Platform& platform,

@@ -95,36 +95,13 @@ class Load {
       proof_.kind = "no job";
       return proof_;
     }
-    XAUTO_TRY(add_others());
-    if (costs()) charge();
-    find_last();
-    for (Group& g : groups_)
-      for (Item& i : g.items) i.work = with_reserve(i.work);
-    Ticks longest = 0;
-    for (const Group& g : groups_) {
-      if (g.urgent) continue;
-      __int128 sum = 0;
-      for (const Item& i : g.items) sum += i.work;
-      proof_.load += static_cast<double>(sum) / (static_cast<double>(g.period) * slowdown(g));
-      proof_.jobs += static_cast<std::int64_t>(g.items.size());
-      longest = std::max(longest, g.period);
-      if (sum > least(g.period, g.ppm)) return overload();
-    }
-    proof_.repeats_us = w_.us(longest);
-    if (proof_.load > 1.000001) return overload();
-    if (groups_.size() == 1 && !blocks_) {
-      proof_.kind = "schedule";
-      if (const Status shown = exhibit(groups_[0]); !shown) {
-        if (groups_[0].ppm == 0) return tl::unexpected<Error>(shown.error());
-        // With drift the demand bound loses less: windows need not shrink.
-        proof_.kind = "demand bound";
-        XAUTO_TRY(bound_demand());
-      }
-    } else {
-      proof_.kind = blocks_ ? "demand bound and blocking" : "demand bound";
-      XAUTO_TRY(bound_demand());
-    }
-    return proof_;
+    return prove_groups(true);
+  }
+
+  /// The others alone.
+  Result<XpuProof> prove_others() {
+    proof_.xpu = xpu_.id;
+    return prove_groups(false);
   }
 
   /// What others have to know. Behind a reserve, or beside others, everybody is told the same: who pays among the app's
@@ -153,6 +130,40 @@ class Load {
   }
 
  private:
+  /// Of what make_groups() has found and of the others; `own`: there is something of the app.
+  Result<XpuProof> prove_groups(bool own) {
+    XAUTO_TRY(add_others());
+    if (costs()) charge();
+    find_last();
+    for (Group& g : groups_)
+      for (Item& i : g.items) i.work = with_reserve(i.work);
+    Ticks longest = 0;
+    for (const Group& g : groups_) {
+      if (g.urgent) continue;
+      __int128 sum = 0;
+      for (const Item& i : g.items) sum += i.work;
+      proof_.load += static_cast<double>(sum) / (static_cast<double>(g.period) * slowdown(g));
+      proof_.jobs += static_cast<std::int64_t>(g.items.size());
+      longest = std::max(longest, g.period);
+      if (sum > least(g.period, g.ppm)) return overload();
+    }
+    proof_.repeats_us = w_.us(longest);
+    if (proof_.load > 1.000001) return overload();
+    if (own && groups_.size() == 1 && !blocks_) {
+      proof_.kind = "schedule";
+      if (const Status shown = exhibit(groups_[0]); !shown) {
+        if (groups_[0].ppm == 0) return tl::unexpected<Error>(shown.error());
+        // With drift the demand bound loses less: windows need not shrink.
+        proof_.kind = "demand bound";
+        XAUTO_TRY(bound_demand());
+      }
+    } else {
+      proof_.kind = blocks_ ? "demand bound and blocking" : "demand bound";
+      XAUTO_TRY(bound_demand());
+    }
+    return proof_;
+  }
+
   static double slowdown(const Group& g) {
     return 1 - static_cast<double>(g.ppm) / static_cast<double>(kMillion);
   }
@@ -1055,6 +1066,15 @@ class Load {
 
 Result<XpuProof> prove_load(const World& w, int m, const Beside& beside) {
   return load::Load(w, m, beside).prove();
+}
+
+Result<XpuProof> prove_together(const Xpu& xpu, std::int64_t ticks_per_us, const Beside& all) {
+  const AppSpec nobody;
+  const Policy nothing;
+  const Platform platform{"the machine", {xpu}};
+  World w{nobody, platform, nothing};
+  w.scale = ticks_per_us;
+  return load::Load(w, 0, all).prove_others();
 }
 
 DemandOnXpu demand_on(const World& w, int m) {

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto-system: one coordinator per XPU instance of the machine, for all runs that ask (docs/together.md). Started by
+// systemd, which has its socket; or by hand, with --socket. A program of its own beside xauto-coordinator, which keeps
+// all of its memory resident: the test of who may come is the checker's.
+#include <algorithm>
+#include <cstdlib>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <unistd.h>
+
+#include "base/daemon.h"
+#include "base/log.h"
+#include "base/process.h"
+#include "base/socket.h"
+#include "cli/cli.h"
+#include "launch/system_service.h"
+#include "model/json.h"
+#include "solver/keys/check.h"
+
+namespace {
+
+constexpr int kFirstPassed = 3;  ///< sd_listen_fds(3): where systemd's descriptors begin
+
+int complain(const xauto::Error& error) {
+  xauto::log::error("{}", error.to_string());
+  return error.code == xauto::ErrorCode::kInvalid ? 2 : 1;
+}
+
+/// As systemd hands it over; else one of our own.
+xauto::Result<xauto::UniqueFd> listener(const std::string& path) {
+  const char* pid = std::getenv("LISTEN_PID");
+  const char* count = std::getenv("LISTEN_FDS");
+  const bool passed = pid != nullptr && count != nullptr && std::to_string(getpid()) == pid &&
+                      std::string(count) == "1";
+  if (passed) {
+    // Coordinators are no business of systemd's.
+    unsetenv("LISTEN_PID");
+    unsetenv("LISTEN_FDS");
+    return xauto::UniqueFd(kFirstPassed);
+  }
+  return xauto::listen_path(path, 0660);
+}
+
+/// The demand, with XPUs called as those of the machine are.
+xauto::Result<xauto::Demand> demand_here(const xauto::launch::Tenant& tenant) {
+  XAUTO_ASSIGN(xauto::Demand demand, xauto::parse_demand(tenant.demand, "app '" + tenant.app + "'"));
+  std::erase_if(demand.xpus, [&](const xauto::DemandOnXpu& on) {
+    return !tenant.hardware.contains(on.xpu.id);  // emulated, or the kernel's
+  });
+  for (xauto::DemandOnXpu& on : demand.xpus) on.xpu.id = tenant.hardware.at(on.xpu.id);
+  XAUTO_TRY(xauto::validate(demand));
+  return demand;
+}
+
+xauto::Status admits(const std::vector<const xauto::launch::Tenant*>& there,
+                     const xauto::launch::Tenant& comes) {
+  std::vector<xauto::Demand> demands;
+  for (const xauto::launch::Tenant* tenant : there) {
+    XAUTO_ASSIGN(xauto::Demand demand, demand_here(*tenant));
+    demands.push_back(std::move(demand));
+  }
+  XAUTO_ASSIGN(xauto::Demand demand, demand_here(comes));
+  if (demand.xpus.size() != comes.hardware.size())
+    return xauto::fail(xauto::ErrorCode::kInvalid, "its demand leaves out an XPU that it asks for");
+  demands.push_back(std::move(demand));
+  const xauto::Status fits = xauto::solver::keys::check_together(demands);
+  if (fits) return {};
+  return xauto::fail(fits.error().code, fits.error().where + ": " + fits.error().what);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  xauto::open_standard_streams();
+  xauto::cli::Program cli(
+      "One coordinator per XPU instance of the machine, for all runs that ask.", "xauto-system");
+  std::string path = xauto::launch::kSystemSocket;
+  cli.option("--socket", path, "where to listen, unless systemd has the socket").shown();
+  cli.version("xauto-system " XAUTO_VERSION);
+  if (const auto status = cli.parse(argc, argv)) return *status;
+  const xauto::UniqueFd stop = xauto::daemon::stop_signals();
+  auto socket = listener(path);
+  if (!socket) return complain(socket.error());
+  xauto::launch::SystemService service({.bin = xauto::program_directory(),
+                                        .listener = std::move(*socket),
+                                        .admission = admits});
+  service.run(stop.get());
+  return 0;
+}
