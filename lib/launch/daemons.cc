@@ -158,6 +158,13 @@ void Daemons::end_shared(const std::string& hardware) {
   daemons_.erase(found);
 }
 
+bool Daemons::idle(const std::string& hardware) const {
+  const auto found = std::find_if(daemons_.begin(), daemons_.end(), [&](const Daemon& daemon) {
+    return daemon.name == name_of_coordinator(hardware);
+  });
+  return found == daemons_.end() || found->pulse.idle();
+}
+
 /// `door`: where who wants it comes in; it outlives the coordinator, as its memory and its doorbell do.
 Status Daemons::start_coordinator(Daemon daemon, const std::string& xpu, UniqueFd door) {
   daemon.name = name_of_coordinator(xpu);

@@ -55,6 +55,8 @@ class Daemons {
   [[nodiscard]] Result<UniqueFd> start_shared(const std::string& hardware, Discipline discipline,
                                               int levels);
   void end_shared(const std::string& hardware);
+  /// No job has that XPU, or wants it.
+  [[nodiscard]] bool idle(const std::string& hardware) const;
 
   /// Their ends show here.
   void add_to(std::vector<pollfd>& fds) const;

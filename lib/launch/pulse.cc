@@ -68,6 +68,10 @@ Pulse::~Pulse() {
   if (header_ != nullptr) munmap(const_cast<coord::Header*>(header_), sizeof(coord::Header));
 }
 
+bool Pulse::idle() const {
+  return header_ != nullptr && (header_->owner.load() & ~coord::kParkings) == 0;
+}
+
 bool Pulse::hangs(pid_t coordinator, std::int64_t now_ns) {
   thread_.check();
   if (header_ == nullptr) return false;

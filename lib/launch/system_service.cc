@@ -23,6 +23,7 @@ constexpr std::size_t kMaxLeases = 64;
 constexpr std::int64_t kGuestNs =
     2'000'000'000;  ///< between two packets of one that has not said all
 constexpr int kServiceLookMs = 200;
+constexpr std::int64_t kMomentNs = 200'000'000;
 
 template <std::size_t Bytes>
 bool ends(const char (&text)[Bytes]) {
@@ -64,6 +65,7 @@ void SystemService::run(int stop_fd) {
     for (std::size_t i = 2; i < clients; ++i)
       if (fds[i].revents != 0) (void)hear(fds[i].fd);
     close_late_guests(now_ns());
+    forget_departed();
     (void)daemons_.look_after(now_ns());
   }
 }
@@ -170,7 +172,7 @@ Status SystemService::fault_of(const Join& join) const {
     if (xpu.discipline == static_cast<std::uint32_t>(Discipline::kKernel))
       return fail(ErrorCode::kInvalid, "wants an XPU that the kernel schedules to be shared");
   }
-  if (leases_.size() >= kMaxLeases)
+  if (leases_.size() + departed_.size() >= kMaxLeases)
     return fail(ErrorCode::kUnavailable, "as many runs as can be are there");
   return {};
 }
@@ -208,6 +210,8 @@ Result<std::uint32_t> SystemService::admit(Guest& guest) {
     lease.tenant.hardware[join.xpus[i].id] = join.xpus[i].hardware;
   std::vector<const Tenant*> there;
   for (const auto& [number, other] : leases_) there.push_back(&other.tenant);
+  forget_departed();
+  for (const Departed& other : departed_) there.push_back(&other.tenant);
   XAUTO_TRY(options_.admission(there, lease.tenant));
   const auto first = room_for(join.num_xnodes);
   if (!first) return fail(ErrorCode::kUnavailable, "the runs that are there have too many XNodes");
@@ -280,6 +284,7 @@ void SystemService::end(std::uint32_t number) {
   const auto found = leases_.find(number);
   const Leased lease = std::move(found->second);
   leases_.erase(found);
+  departed_.push_back({lease.tenant, now_ns() + kMomentNs});
   const coord::Adopt over{.kind = static_cast<std::uint32_t>(coord::MessageKind::kEndLease),
                           .lease = number};
   for (const auto& [xpu, hardware] : lease.tenant.hardware)
@@ -312,6 +317,16 @@ std::string SystemService::status() const {
                     {"xpus", xpus}});
   }
   return Json({{"apps", apps}, {"notes", notes_}}).dump();
+}
+
+/// One that nobody uses any more has no coordinator.
+void SystemService::forget_departed() {
+  const std::int64_t now = now_ns();
+  for (Departed& one : departed_)
+    if (now >= one.look_ns)
+      std::erase_if(one.tenant.hardware,
+                    [&](const auto& has) { return daemons_.idle(has.second); });
+  std::erase_if(departed_, [](const Departed& one) { return one.tenant.hardware.empty(); });
 }
 
 bool SystemService::used(const std::string& hardware) const {

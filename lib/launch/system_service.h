@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // One coordinator per XPU instance of the machine, for all runs that ask: `xauto-coordinator --system`. A run joins
 // with what its policy demands of each XPU, and is admitted if that and the demands of all who are there fit; who is
-// there keeps every claim (docs/keys.md, "Apps compose"). The run leaves by closing its connection, or by dying.
+// there keeps every claim (docs/keys.md, "Apps compose"). The run leaves by closing its connection, or by dying. What it
+// had of an XPU is free once that has been idle since: until then its last jobs may still be in others' way.
 // Coordinators are children as those of a run are (daemons.h), each from the first run that uses its XPU to the last.
 #pragma once
 
@@ -73,6 +74,11 @@ class SystemService {
     std::uint32_t first_xnode = 0, num_xnodes = 0;
     Tenant tenant;
   };
+  /// A run that has left, with that hardware of it that has not been idle since.
+  struct Departed {
+    Tenant tenant;
+    std::int64_t look_ns = 0;  ///< not before: its processes need a moment to die
+  };
   struct Shared {
     Discipline discipline = Discipline::kGate;
     int levels = 0;
@@ -90,6 +96,7 @@ class SystemService {
   void hand_on(UniqueFd worker, const coord::Attach& attach);
   void end(std::uint32_t lease);
   void stop_unused();
+  void forget_departed();
   [[nodiscard]] bool used(const std::string& hardware) const;
   [[nodiscard]] std::string status() const;
 
@@ -100,6 +107,7 @@ class SystemService {
   std::map<int, Guest> guests_;             ///< by descriptor
   std::map<std::uint32_t, Leased> leases_;  ///< by number
   std::map<std::string, Shared> shared_;    ///< by hardware
+  std::vector<Departed> departed_;
   std::uint32_t last_lease_ = 0;
   log::Refusals refusals_;
 };

@@ -321,6 +321,28 @@ PriorityPlan assignment_of(const Policy& keys) {
   return policy;
 }
 
+Policy held_in_place_of_order(Policy policy, const std::function<bool(int xpu)>& of) {
+  std::erase_if(policy.order, [&](const std::pair<int, int>& pair) {
+    const Placement& u = policy.placements[at(pair.first)];
+    Placement& v = policy.placements[at(pair.second)];
+    if (!of(v.xpu)) return false;
+    // Sizes divide the activations of a hyperperiod, so what they come round in does, too.
+    const std::size_t size = std::lcm(u.key_us.size(), v.key_us.size());
+    std::vector<std::int64_t> keys(size), held(size);
+    for (std::size_t j = 0; j < size; ++j) {
+      keys[j] = v.key_us[j % v.key_us.size()];
+      const std::int64_t before = v.hold_us.empty() ? 0 : v.hold_us[j % v.hold_us.size()];
+      held[j] = std::max(before, u.key_us[j % u.key_us.size()]);
+    }
+    v.key_us = std::move(keys);
+    v.hold_us = std::move(held);
+    v.start_us.clear();  // was predicted without the hold
+    v.finish_us.clear();
+    return true;
+  });
+  return policy;
+}
+
 Policy by_priorities(const PriorityPlan& plan, const AppSpec& app) {
   Policy policy;
   policy.app = app.name;

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -90,6 +91,9 @@ struct Policy {
 /// Its assignment, for whoever asks only that; with its priorities, or those that come nearest to its keys:
 /// on each XPU the smaller first key is the larger priority. Nothing is claimed of them.
 [[nodiscard]] PriorityPlan assignment_of(const Policy& keys);
+/// Holds in place of the order pairs on XPUs that `of` takes: each v is held until the key of its u. No window, no key
+/// and no worst case changes (docs/keys.md, "Order").
+[[nodiscard]] Policy held_in_place_of_order(Policy policy, const std::function<bool(int xpu)>& of);
 /// A plan's assignment, priorities and order as a policy of `app`, which the plan may know in part only.
 [[nodiscard]] Policy by_priorities(const PriorityPlan& plan, const AppSpec& app);
 

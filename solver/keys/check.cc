@@ -159,7 +159,7 @@ Status check_together(const std::vector<Demand>& demands) {
   checking::Ticks ticks = 1;
   for (const Demand& demand : demands) {
     XAUTO_TRY(validate(demand));
-    ticks = lcm(ticks, demand.ticks_per_us);
+    ticks = checking::lcm(ticks, demand.ticks_per_us);
     if (ticks == 0)
       return fail(ErrorCode::kInvalid, "the ticks of the demands have no multiple that fits",
                   "demands", "state periods as ratios of smaller numbers");

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <numeric>
 #include <set>
 
@@ -13,8 +14,11 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "kernel/probe.h"
+#include "launch/cpu_run.h"
+#include "launch/system_lease.h"
 #include "model/json.h"
 #include "processes/marks.h"
+#include "solver/keys/check.h"
 
 #include "xauto/command.h"
 #include "xauto/counts.h"
@@ -96,6 +100,10 @@ void RunFlags::declare(Verb verb) {
               "thread; 0: never")
       .range(std::int64_t{0}, std::int64_t{100'000})
       .shown();
+  verb.option("--system", system,
+              "socket of xauto-system, whose coordinators serve all runs of the machine; off: "
+              "coordinators of the run's own")
+      .shown_as("/run/xauto/coordinator.sock, if it is there");
   emulation.declare(verb);
   verb.option(
           "--emulate-script", script_path,
@@ -195,13 +203,52 @@ void PolicyRun::take(Policy made) {
 
 namespace {
 
-/// What the run's account says later is worth knowing before.
-void warn_of_others(const runtime::Session& session) {
-  const std::vector<runtime::RealXpu> ours = runtime::real_xpus_of(session);
-  for (const runtime::Holder& holder : runtime::holders({}))
-    if (std::ranges::find(ours, holder.hardware, &runtime::RealXpu::hardware) != ours.end())
-      log::warn("{} has {}, too: nothing that is claimed of either run stands", holder.words(),
-                holder.hardware);
+/// What the run's account says later is worth knowing before. Runs that share are admitted to each other.
+void warn_of_others(const launch::Supervision& request) {
+  const std::vector<runtime::RealXpu> ours = runtime::real_xpus_of(request.session);
+  bool alone = true;
+  for (const runtime::Holder& holder : runtime::holders({})) {
+    if (std::ranges::find(ours, holder.hardware, &runtime::RealXpu::hardware) == ours.end() ||
+        (holder.shared && !request.system_socket.empty()))
+      continue;
+    log::warn("{} has {}, too: nothing that is claimed of either run stands", holder.words(),
+              holder.hardware);
+    alone = false;
+  }
+  if (!alone)
+    log::hint("with xauto-system both would be asked whether they fit: docs/together.md");
+}
+
+/// Joins the machine's coordinators where there are some and the policy says what it demands.
+Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& request) {
+  runtime::Session& session = request.session;
+  const std::string path = flags.system.empty() ? launch::kSystemSocket : flags.system;
+  std::error_code error;
+  if (flags.system == "off" || run.scheduling != runtime::Scheduling::kXAuto ||
+      (flags.system.empty() && !std::filesystem::exists(path, error)))
+    return {};
+  launch::decide_cpu_by_keys(session);
+  const std::vector<launch::JoinXpu> xpus = launch::shareable_xpus(session);
+  if (xpus.empty()) return {};
+  const bool says = run.keys && run.keys->certified && !run.tables;
+  if (!says && flags.system.empty()) {
+    log::warn("does not join {}: {} what it demands; it brings coordinators of its own", path,
+              run.tables ? "nobody can say of tables" : "a policy without a certificate does not say");
+    return {};
+  }
+  if (!says)
+    return fail(ErrorCode::kInvalid, "is for one policy of keys that is certified", "--system");
+  session.keys = held_in_place_of_order(std::move(*session.keys), [&](int xpu) {
+    return std::ranges::any_of(xpus, [&](const launch::JoinXpu& one) {
+      return one.id == session.platform.xpus[static_cast<std::size_t>(xpu)].id;
+    });
+  });
+  session.policy = assignment_of(*session.keys);
+  XAUTO_ASSIGN(const Demand demand,
+               solver::keys::demand_of(session.app, session.platform, *session.keys));
+  request.demand = to_json(demand);
+  request.system_socket = path;
+  return {};
 }
 
 }  // namespace
@@ -221,7 +268,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
                                                   : runtime::CpuSched::kOther;
   request.cpu_budget_pct = flags.cpu_budget_pct;
   session.presence = flags.presence;
-  if (run.scheduling == runtime::Scheduling::kXAuto) warn_of_others(session);
+  XAUTO_TRY(join_machine(flags, run, request));
+  if (run.scheduling == runtime::Scheduling::kXAuto) warn_of_others(request);
   session.emulator_modules = flags.emulator_modules;
   session.releases.activations = flags.activations;
   session.releases.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));

@@ -47,6 +47,7 @@ struct RunFlags {
   bool lockstep = false, isolate = false, emulator_modules = false;
   EmulationOptions emulation;
   std::string script_path;  ///< emulation.json
+  std::string system;       ///< socket of the machine's coordinators, or "off"; see join_machine
   int restarts = 0;
   std::string deployment_path;
   std::vector<std::string> overload;
