@@ -278,6 +278,13 @@ class EndsEarly(Case):
         self.assertFalse((self.folder / "app.json").exists(), "of an incomplete profile none is written")
         done = xauto("profile", "--platform", "small", "--read", "profile.json", "--app-out", "app.json", cwd=self.folder)
         self.assertTrue((self.folder / "app.json").exists(), f"each XNode was measured somewhere, and it was asked for: {done.stderr}")
+        why = self.read("profile.json")["incomplete"]
+        self.assertEqual(self.read("app.json")["incomplete"], why)
+        files = ("--app", "app.json", "--platform", "small")
+        for words in (("solve", *files, "--time-limit-s", 1, "--out", "policy.json"), ("check", *files, "--policy", "policy.json"),
+                      ("run", *files, "--policy", "policy.json", "--emulate", "--activations", 2, "--", STAGES, "/dev/null")):
+            said = xauto(*words, cwd=self.folder).stderr
+            self.assertEqual(said.count(f"app.json: its WCETs are of an incomplete profile: {why}\n"), 1, f"{words}: {said}")
 
     def test_an_xnode_without_a_time_makes_no_app(self):
         done = self.profile("small", "--exec-limit-s", 1, status=1, app=(STAGES, "/dev/null", "hang", "1", "cpu0"))
