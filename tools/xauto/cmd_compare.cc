@@ -75,7 +75,7 @@ Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform, do
   auto priority = static_cast<std::int64_t>(sequence.size());
   for (const int i : sequence) decision.priority[static_cast<std::size_t>(i)] = priority--;
   PriorityPlan policy = solver::make_policy(app, platform, problem, decision, plan.method);
-  policy.solve_ms = plan.solve_ms;
+  policy.solve_us = plan.solve_us;
   return by_priorities(policy, app);
 }
 
@@ -198,9 +198,8 @@ void add_compare(Commands& commands) {
   verb.option("--out", flags->out,
               "folder for report.json, report.html, the traces and the policies")
       .shown();
-  verb.option("--time-limit-s", flags->time_limit_s, "for the solver, per policy")
-      .positive()
-      .shown();
+  verb.duration("--time-limit", flags->time_limit_s, Unit::kSeconds, 0.001, kYearS,
+                "for the solver, per policy");
 }
 
 }  // namespace xauto::cli
