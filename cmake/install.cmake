@@ -65,5 +65,26 @@ install(TARGETS ${tools} RUNTIME DESTINATION ${CMAKE_INSTALL_LIBEXECDIR}/xauto C
 file(CREATE_LINK ../${CMAKE_INSTALL_LIBEXECDIR}/xauto/xauto ${PROJECT_BINARY_DIR}/package/xauto SYMBOLIC)
 install(FILES ${PROJECT_BINARY_DIR}/package/xauto DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT tools)
 
+# Man pages and bash's completion, from what the tool says with --help; of a cross-build the tool cannot be asked.
+set(XAUTO_HOST_HELP "" CACHE PATH "what packaging/from-help.py wrote for a build of this machine, for a cross-build")
+set(help ${PROJECT_BINARY_DIR}/package/help)
+if(XAUTO_HOST_HELP)
+  set(help ${XAUTO_HOST_HELP})
+  add_custom_target(xauto_help)
+else()
+  find_package(Python3 REQUIRED COMPONENTS Interpreter)
+  add_custom_command(OUTPUT ${help}/completions/xauto
+                     COMMAND ${Python3_EXECUTABLE} ${PROJECT_SOURCE_DIR}/packaging/from-help.py $<TARGET_FILE_DIR:xauto> ${help}
+                     DEPENDS xauto packaging/from-help.py VERBATIM)
+  add_custom_target(xauto_help ALL DEPENDS ${help}/completions/xauto)
+endif()
+install(DIRECTORY ${help}/man1 DESTINATION ${CMAKE_INSTALL_MANDIR} COMPONENT tools)
+install(FILES ${help}/completions/xauto DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT tools)
+
+# The Debian packages take their own.
+install(DIRECTORY examples/template examples/camera DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples COMPONENT examples)
+install(FILES packaging/examples/camera.conf packaging/examples/limits.conf packaging/grafana/xauto.json
+        DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples COMPONENT examples)
+
 # For editors and other programs.
 install(DIRECTORY docs/schema/ DESTINATION ${CMAKE_INSTALL_DATADIR}/xauto/schema COMPONENT tools FILES_MATCHING PATTERN "*.schema.json")

@@ -134,7 +134,7 @@ class Bench:
         rows = {}
         for number in range(runs):
             file = self.work / f"runtime-{number}.json"
-            text = self.run(self.bin / "bench/bench_runtime", "--fifo", "--rounds", rounds, "--seconds", seconds, "--json", file)
+            text = self.run(self.bin / "bench/bench_runtime", "--fifo", "--rounds", rounds, "--duration", f"{seconds}s", "--json", file)
             for row in json.loads(file.read_text())["rows"]:
                 rows.setdefault((row["section"], row["case"], row["program"]), []).append((row["p50"], row["p99"]))
         self.section("The runtime beside its floors and peers", "measured", f"{runs} runs of {rounds} samples a row; microseconds unless the row says %, "
@@ -158,7 +158,7 @@ class Bench:
         dags, limit = (1, 0.2) if self.quick else (50, 10)
         out = self.work / "synthetic"
         shutil.rmtree(out, ignore_errors=True)  # it would go on from what is there
-        text = self.run(self.bin / "bench/bench_synthetic", "--dags", dags, "--time-limit-s", limit, "--out", out)
+        text = self.run(self.bin / "bench/bench_synthetic", "--dags", dags, "--time-limit", f"{limit}s", "--out", out)
         self.section("The synthetic workload", "model", f"{dags} DAGs a group, solver's limit {limit} s a DAG: speed-ups over ROS 2's way and HEFT, ablations, "
                      f"gaps to the proven bound ([what it is]({os.path.relpath(ROOT / 'docs/synthetic.md', self.out)})).")
         for plot in sorted(out.glob("*.svg")):

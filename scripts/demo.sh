@@ -17,20 +17,20 @@ echo "demo: running the Driving Case under four policies, about a minute"
   --activations "${ACTIVATIONS:-220}" --out "$build"/demo -- "$build"/bin/driving
 echo
 echo "demo: the same at the rates of its sensors: cameras 30 Hz, LiDAR 10 Hz on its own clock, control 50 Hz"
-"$build"/bin/xauto compare --app examples/driving/rates.json --platform small --seconds "${SECONDS_RATES:-4}" \
-  --time-limit-s 1 --out "$build"/demo/rates -- "$build"/bin/driving-rates
+"$build"/bin/xauto compare --app examples/driving/rates.json --platform small --duration "${SECONDS_RATES:-4}s" \
+  --time-limit 1s --out "$build"/demo/rates -- "$build"/bin/driving-rates
 echo
 echo "demo: the GPU at half of its clock after a second: one policy, then a policy for each scenario (docs/modes.md)"
 tables=$build/demo/tables
 mkdir -p "$tables"
 driving=(--app examples/driving/app.json --platform small)
-"$build"/bin/xauto solve "${driving[@]}" --time-limit-s 2 --threads 1 --out "$tables"/one.json >/dev/null
-"$build"/bin/xauto solve "${driving[@]}" --scenarios examples/driving/scenarios.json --tables 2 --time-limit-s 3 --threads 1 \
+"$build"/bin/xauto solve "${driving[@]}" --time-limit 2s --threads 1 --out "$tables"/one.json >/dev/null
+"$build"/bin/xauto solve "${driving[@]}" --scenarios examples/driving/scenarios.json --tables 2 --time-limit 3s --threads 1 \
   --out "$tables"/two.json >"$tables"/solve.log
 # Releases that do not meet, as the tables' worst cases have it.
 for policy in one two; do
   "$build"/bin/xauto run "${driving[@]}" --emulate --emulate-script examples/driving/throttle.json --overload queue:8 \
-    --policy "$tables"/$policy.json --period-us 66000 --activations $((${ACTIVATIONS:-220} * 6 / 10)) --out "$tables"/$policy-report.json \
+    --policy "$tables"/$policy.json --period 66ms --activations $((${ACTIVATIONS:-220} * 6 / 10)) --out "$tables"/$policy-report.json \
     --trace-out "$tables"/$policy.pftrace -- "$build"/bin/driving >"$tables"/$policy.log 2>&1 ||
     { cat "$tables"/$policy.log; exit 1; }
 done

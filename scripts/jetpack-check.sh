@@ -91,8 +91,8 @@ solve() {
   here=$(build/bin/xauto solve --app $driving/app.json --platform small --method heft --json | figures)
   [ -n "$here" ] && [ "$there" = "$here" ] || { echo "emulated $there, here $here"; exit 1; }
   "$tool" check --app $driving/app.json --platform small --policy "$out/app.policy.json"
-  "$tool" solve --app $driving/rates.json --platform small --time-limit-s 3 --out "$out/there.json"
-  build/bin/xauto solve --app $driving/rates.json --platform small --time-limit-s 1 --out "$out/here.json"
+  "$tool" solve --app $driving/rates.json --platform small --time-limit 3s --out "$out/there.json"
+  build/bin/xauto solve --app $driving/rates.json --platform small --time-limit 1s --out "$out/here.json"
   "$tool" check --app $driving/rates.json --platform small --policy "$out/here.json"
   build/bin/xauto check --app $driving/rates.json --platform small --policy "$out/there.json"
 }
@@ -100,7 +100,7 @@ figures() { grep -oE '"(release|worst_case|lower_bound)_us": *[0-9]+' | tr -d ' 
 demo() {
   "$tool" compare --app examples/driving/app.json --platform small --overload queue:8 --activations 20 --out "$out/demo" -- "$tree/apps/driving"
   [ -s "$out/demo/report.html" ]
-  "$tool" compare --app examples/driving/rates.json --platform small --seconds 2 --time-limit-s 2 --out "$out/demo/rates" -- "$tree/apps/driving-rates"
+  "$tool" compare --app examples/driving/rates.json --platform small --duration 2s --time-limit 2s --out "$out/demo/rates" -- "$tree/apps/driving-rates"
   [ -s "$out/demo/rates/report.html" ]
 }
 # As on a board, with a compiler as old as we promise and no header but ours.

@@ -38,6 +38,10 @@ from_source() {
   cmake -S examples/template -B "$build/package/template" -DCMAKE_PREFIX_PATH="$prefix" -DCMAKE_BUILD_TYPE=Debug
   cmake --build "$build/package/template"
   ldd "$build/package/template/template" | grep -F "$prefix"
+  # What the packages bring, this way, too.
+  for file in man/man1/xauto.1 man/man1/xauto-solve.1 bash-completion/completions/xauto doc/xauto/examples/template/main.cc doc/xauto/examples/xauto.json; do
+    [ -s "$prefix/share/$file" ] || { echo "share/$file is not installed"; return 1; }
+  done
   timeout 60 "$prefix/bin/xauto" profile --platform small --emulate --warmup 0 --repetitions 2 -- "$build/package/template/template"
   rm -rf "$prefix" "$build/package/template"
 }

@@ -9,7 +9,7 @@ jobs=${JOBS:-2}
 native=$(dpkg --print-architecture)
 variant=${1:-$native}
 arch=${variant/#jetpack/arm64}
-targets="xauto_shared xauto_watch xauto xauto-coordinator xauto-emud xauto-cpusched"
+targets="xauto_shared xauto_watch xauto xauto-coordinator xauto-emud xauto-cpusched xauto_help"
 case $arch in
   "$native" | arm64) ;;
   *) echo "packages: no packages for '$arch': there are $native, arm64 and jetpack" >&2; exit 2 ;;
@@ -19,7 +19,7 @@ if [ "$variant" = jetpack ] && [ "$native" != amd64 ]; then
   exit 2
 fi
 
-# The host's tools are needed in any case: they write the man pages.
+# The host's tools are needed in any case: man pages are made of their help.
 cmake --preset release >/dev/null
 # shellcheck disable=SC2086
 ninja -C build -j"$jobs" $targets
@@ -48,15 +48,13 @@ mount --rbind /dev "$root/dev"
 mkdir -p "$root/src" "$root/host" "$root/ccache"
 mount --bind "$out/ccache" "$root/ccache"
 git ls-files -z | tar --null --ignore-failed-read -T - -cf - | tar -xf - -C "$root/src"
-mkdir -p "$root/host/man" "$root/host/completion"
-packaging/make-man.py build/bin "$root/host/man"
-build/bin/xauto completion bash >"$root/host/completion/xauto"
+cp -r build/package/help "$root/host"
 kind=any profile=
 if [ "$variant" = jetpack ]; then
   kind=binary profile=pkg.xauto.jetpack
   sed -i '1s/)/+jetpack)/' "$root/src/debian/changelog"
 fi
-if ! env -i PATH=/usr/lib/ccache:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 CCACHE_DIR=/ccache CCACHE_SLOPPINESS=pch_defines,time_macros XAUTO_HOST_DOCS=/host \
+if ! env -i PATH=/usr/lib/ccache:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 CCACHE_DIR=/ccache CCACHE_SLOPPINESS=pch_defines,time_macros XAUTO_HOST_HELP=/host/help \
   DEB_BUILD_PROFILES="$profile" \
   DEB_BUILD_OPTIONS="parallel=$jobs nocheck noautodbgsym" chroot "$root" \
   sh -c "cd /src && dpkg-buildpackage --build=$kind --host-arch=$arch -d -us -uc && ninja -C obj-deb driving driving-rates" >"$out/build.log" 2>&1; then

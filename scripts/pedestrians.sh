@@ -14,7 +14,7 @@ echo "pedestrians: profile"
 build/bin/xauto profile --real --platform $platform --repetitions 20 --out $out/profile.json \
   --app-out $out/app.json -- "${app[@]}"
 echo "pedestrians: solve"
-build/bin/xauto solve --app $out/app.json --platform $platform --time-limit-s 5 --out $out/policy.json
+build/bin/xauto solve --app $out/app.json --platform $platform --time-limit 5s --out $out/policy.json
 echo "pedestrians: run"
 build/bin/xauto run --real --lockstep --activations 60 --app $out/app.json --platform $platform \
   --policy $out/policy.json --page $out/report.html -- "${app[@]}"

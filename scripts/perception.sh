@@ -38,7 +38,7 @@ echo "perception: variants (profile, 26 frames, and the same frames by ONNX Runt
 variant() { # KIND NAME FACES LINES
   local folder=$out/$1-$2
   profile "$1-$2" 10 "$3" "$4"
-  build/bin/xauto solve --app "$folder/app.json" --platform $platform --time-limit-s 2 --out "$folder/policy.json" >/dev/null
+  build/bin/xauto solve --app "$folder/app.json" --platform $platform --time-limit 2s --out "$folder/policy.json" >/dev/null
   build/bin/xauto run --real --lockstep --activations 26 --app "$folder/app.json" --platform $platform --policy "$folder/policy.json" \
     -- "${app[@]}" "$folder" "$3" "$4" >"$folder/run.txt" 2>"$folder/log" || { cat "$folder/log" >&2; exit 1; }
   node examples/perception/check.js build/onnx "$folder"
@@ -58,8 +58,8 @@ cp "$out/taken/profile.json" "$out/taken.json"
 cp "$out/free/app.json" "$out/app.json"
 build/bin/xauto profile --merge "$out/free.json" "$out/taken.json" --margin-pct 50 --out "$out/scenarios.json" >/dev/null
 python3 examples/perception/report.py scenarios "$out/scenarios.json" "$place"
-build/bin/xauto solve --app "$out/app.json" --platform $platform --time-limit-s 3 --out "$out/static.json" >/dev/null
-build/bin/xauto solve --app "$out/app.json" --platform $platform --time-limit-s 3 --scenarios "$out/scenarios.json" --tables 2 \
+build/bin/xauto solve --app "$out/app.json" --platform $platform --time-limit 3s --out "$out/static.json" >/dev/null
+build/bin/xauto solve --app "$out/app.json" --platform $platform --time-limit 3s --scenarios "$out/scenarios.json" --tables 2 \
   --out "$out/tables.json"
 for policy in static tables; do
   build/bin/xauto check --app "$out/app.json" --platform $platform --policy "$out/$policy.json" | tail -n 1

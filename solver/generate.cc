@@ -172,8 +172,9 @@ Status check(const GenerateOptions& o) {
     return bad("--branches", std::to_string(o.branch_min) + ".." + std::to_string(o.branch_max),
                "a range within 1..1000");
   if (o.cpu_min_us < 1 || o.cpu_max_us < o.cpu_min_us || o.cpu_max_us > 1'000'000'000)
-    return bad("--cpu-us", std::to_string(o.cpu_min_us) + ".." + std::to_string(o.cpu_max_us),
-               "a range within 1..1000000000");
+    return bad("--cpu-time",
+               std::to_string(o.cpu_min_us) + ".." + std::to_string(o.cpu_max_us) + " us",
+               "a range within 1 us and 1000 s");
   for (const auto& [name, p] : {std::pair{"--terminal", o.terminal},
                                 {"--sibling-edge", o.sibling_edge},
                                 {"--heavy-share", o.heavy_share},

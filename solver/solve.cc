@@ -220,7 +220,7 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
               : worst_case(problem, decision, kMostChainSteps, a_moment(problem, options));
   account_for_deadlines(app, problem, options, policy);
   policy.optimal = policy.lower_bound_us == policy.latency_us;
-  policy.solve_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
+  policy.solve_us = std::chrono::duration_cast<std::chrono::microseconds>(
                         std::chrono::steady_clock::now() - began)
                         .count();
   return policy;

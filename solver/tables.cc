@@ -483,7 +483,7 @@ class TablesSearch {
     for (std::size_t s = 0; s < scenarios_.size(); ++s) set_bounds(s, tables.serves[s]);
     keys::set_claims(tables, app_, platform_);
     tables.handovers = keys::releases_across(tables, app_, platform_);
-    tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
+    tables.solve_us = static_cast<std::int64_t>(run_.elapsed() * 1e6);
     return tables;
   }
 

@@ -272,7 +272,8 @@ int main(int argc, char** argv) {
   xauto::bench::Asked& asked = flags.asked;
   xauto::cli::Program program(
       "Policies of keys for generated apps, beside what else one could do.");
-  program.option("--time-limit-s", asked.time_limit_s, "of the solver, per case").shown();
+  program.duration("--time-limit", asked.time_limit_s, xauto::cli::Unit::kSeconds, 0,
+                   xauto::cli::kYearS, "of the solver, per case");
   std::string objective = "largest";
   program
       .option("--objective", objective, "of the solver, where chains have deadlines; else the sum")
@@ -280,8 +281,9 @@ int main(int argc, char** argv) {
       .shown();
   program.option("--threads", asked.threads, "of the solver").range(1, 64).shown();
   program.option("--seed", asked.seed, "of the solver, of the annealer and of the plays").shown();
-  program.option("--annealer-s", asked.annealer_s,
-                 "of the plain annealer, one thread; 0: none; default: as the solver");
+  program.duration("--annealer", asked.annealer_s, xauto::cli::Unit::kSeconds, 0,
+                   xauto::cli::kYearS,
+                   "of the plain annealer, one thread; 0: none; default: as the solver");
   program.flag("!--no-rivals", asked.rivals, "leave out the plays");
   program.option("--plays", asked.plays.count, "of each rule").range(1, 1000).shown();
   program.option("--jobs", asked.plays.jobs, "in each play, about").positive().shown();

@@ -53,10 +53,10 @@ P
 run() { # NAME PLATFORM POLICY SECONDS FLAG...
   local name=$1 platform=$2 policy=$3 seconds=$4
   shift 4
-  timeout -k 5 90 xauto run --app app.json --platform "$platform" --policy "$policy" --seconds "$seconds" --name "$name" \
+  timeout -k 5 90 xauto run --app app.json --platform "$platform" --policy "$policy" --duration "${seconds}s" --name "$name" \
     --out "$name.report.json" "$@" -- ./app 2>"$name.err"
 }
-plan() { xauto solve --app app.json --platform "$1.json" --time-limit-s 3 --out "$1.policy.json"; }
+plan() { xauto solve --app app.json --platform "$1.json" --time-limit 3s --out "$1.policy.json"; }
 platform first.json 2000 yes
 xauto profile --platform first.json --repetitions 50 --out profile.json --app-out profiled.json -- ./app || exit 1
 python3 - <<'P'

@@ -103,11 +103,11 @@ def profile():
 
 
 def plan():
-    xauto("solve", "--app", "app.json", "--platform", "platform.json", "--scenarios", "scenarios.json", "--tables", 2, "--time-limit-s", 10,
+    xauto("solve", "--app", "app.json", "--platform", "platform.json", "--scenarios", "scenarios.json", "--tables", 2, "--time-limit", "10s",
           "--out", "tables.json")
-    xauto("solve", "--app", "app.json", "--platform", "platform.json", "--time-limit-s", 3, "--out", "one.json")
+    xauto("solve", "--app", "app.json", "--platform", "platform.json", "--time-limit", "3s", "--out", "one.json")
     write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "shared-gpu", "queue_depth": 256, "keep": 256,
-                              "defaults": {"overload": "queue:256"}, "tables": {"dwell_ms": 500}})
+                              "defaults": {"overload": "queue:256"}, "tables": {"dwell_us": 500000}})
 
 
 class Run:
@@ -132,7 +132,7 @@ class Run:
             self.report = json.loads((OUT / "out").read_text())["runs"][0]
 
     def mode(self, *words):
-        return json.loads(xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
+        return json.loads(xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait", "10s", "--json", *words))
 
     def scenario(self):
         return self.mode()["now"]

@@ -65,7 +65,8 @@ int main(int argc, char** argv) {
   Options options;
   std::string json = "runtime.json";
   cli.option("--rounds", options.rounds, "samples per row").shown();
-  cli.option("--seconds", options.seconds, "of the coordinators' load").shown();
+  cli.duration("--duration", options.seconds, xauto::cli::Unit::kSeconds, 0.001, xauto::cli::kYearS,
+               "of the coordinators' load");
   cli.option("--json", json, "write the rows here").shown();
   cli.option("--only", options.only,
              "dispatch, decision, suspend, transfer, image, or coordinator");

@@ -67,8 +67,7 @@ def main():
             pathlib.Path(path("d.json")).write_text(json.dumps(
                 {"schema": "xauto.deployment", "version": 1, "app": "driving-pipelined", "queue_depth": 256, "keep": 256,
                  "defaults": {"overload": "queue:256"}}))
-            solved = subprocess.run([tool, "solve", "--app", path("app.json"), "--platform", "small", "--time-limit-s",
-                                     str(options.seconds), "--threads", "2", "--out", path("policy.json")],
+            solved = subprocess.run([tool, "solve", "--app", path("app.json"), "--platform", "small", "--time-limit", f"{options.seconds}s", "--threads", "2", "--out", path("policy.json")],
                                     capture_output=True, text=True)
             row = {"period_us": period_us, "slower": options.slower, "slack_us": options.slack_us,
                    "policy": solved.returncode == 0}

@@ -180,18 +180,21 @@ int main(int argc, char** argv) {
   app.option("--dags", flags.dags, "DAGs a group; 0: none").shown();
   app.option("--groups", flags.groups, "XNodes per group").separated_by(',').shown();
   app.option("--platforms", flags.platforms).separated_by(',').shown();
-  app.option("--time-limit-s", flags.settings.time_limit_s, "per DAG and platform").shown();
+  app.duration("--time-limit", flags.settings.time_limit_s, xauto::cli::Unit::kSeconds, 0,
+               xauto::cli::kYearS, "per DAG and platform");
   app.option("--threads", flags.settings.threads).shown();
   app.option("--max-depth", flags.settings.max_depth, "of the workload's DAGs").shown();
   app.option("--scaling", flags.scaling, "sizes, e.g. 100,300,1000").separated_by(',');
-  app.option("--scaling-limit-s", flags.scaling_limit_s).shown();
+  app.duration("--scaling-limit", flags.scaling_limit_s, xauto::cli::Unit::kSeconds, 0,
+               xauto::cli::kYearS, "per app of --scaling");
   app.option("--scaling-apps", flags.scaling_apps, "apps a size").shown();
   app.flag("!--no-fork-join", flags.settings.fork_join,
            "the workload's forks and joins are no XNodes");
   app.flag("--summarise", flags.summarise, "tables and plots of what --out has; solve nothing");
   app.option("--yardsticks", flags.yardsticks, "sizes for other solvers, e.g. 8,10,12")
       .separated_by(',');
-  app.option("--yardstick-limit-s", flags.yardstick_limit_s).shown();
+  app.duration("--yardstick-limit", flags.yardstick_limit_s, xauto::cli::Unit::kSeconds, 0,
+               xauto::cli::kYearS, "per DAG and yardstick");
   app.option("--out", flags.out,
              "folder for table.txt, *.jsonl, *.svg; goes on from its workload.jsonl")
       .shown();

@@ -87,7 +87,7 @@ Result<std::vector<Yardstick>> run_yardsticks(const AppSpec& app, const Platform
   solving.time_limit_s = limit_s;
   XAUTO_ASSIGN(const PriorityPlan policy, solver::solve(app, platform, solving));
   result.push_back({"XAuto, auto", true, policy.optimal ? "optimal" : "time limit",
-                    policy.latency_us, static_cast<double>(policy.solve_ms) / 1000});
+                    policy.latency_us, static_cast<double>(policy.solve_us) / 1e6});
 
   const std::string model = folder + "/paper.mps";
   solver::IlpOptions ilp;

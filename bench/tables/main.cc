@@ -64,7 +64,7 @@ Status bench(const Flags& flags) {
       if (const auto v = solver::keys::examine_tables(app, platform, tables); !v.truthful())
         return fail(ErrorCode::kInternal, v.lies.front(), app.name);
       regrets[t].push_back(tables.worst_regret());
-      const double seconds = static_cast<double>(tables.solve_ms) / 1000;
+      const double seconds = static_cast<double>(tables.solve_us) / 1e6;
       longest = std::max(longest, seconds);
       row += fmt::format(" {:>9.3f}", tables.worst_regret());
       lines << fmt::format(
@@ -99,7 +99,8 @@ int main(int argc, char** argv) {
   app.option("--apps", flags.apps, "synthetic ones").shown();
   app.option("--nodes", flags.nodes, "XNodes of each").shown();
   app.option("--first-seed", flags.first_seed).shown();
-  app.option("--time-limit-s", flags.time_limit_s, "per set of tables").shown();
+  app.duration("--time-limit", flags.time_limit_s, xauto::cli::Unit::kSeconds, 0,
+               xauto::cli::kYearS, "per set of tables");
   app.option("--threads", flags.threads).shown();
   app.option("--out", flags.out, "lines of JSON");
   if (const auto exit = app.parse(argc, argv)) return *exit;

@@ -110,7 +110,7 @@ class Case:
         if scenarios:
             self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": self.app["name"], "scenarios": scenarios})
             more = ("--scenarios", "scenarios.json", "--tables", tables)
-        self.xauto("solve", "--app", "app.json", "--platform", "small", "--time-limit-s", seconds, "--out", out, *more)
+        self.xauto("solve", "--app", "app.json", "--platform", "small", "--time-limit", f"{seconds}s", "--out", out, *more)
 
     def command(self, policy, *flags):
         return [self.options.bin + "/xauto", "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", policy,
@@ -140,10 +140,10 @@ class Case:
         return (self.folder / "err").read_text()
 
     def board(self):
-        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 50, "--once", "--json"))["runs"][0]
+        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait", "10s", "--interval", "50ms", "--once", "--json"))["runs"][0]
 
     def mode(self, *words):
-        return json.loads(self.xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
+        return json.loads(self.xauto("param", "scenario" if words else "list", "--run", f"{self.tool.pid}-0", "--wait", "10s", "--json", *words))
 
     def wait(self, probe, seconds=60):
         """How long it took; None: it did not come to that."""
@@ -210,7 +210,7 @@ def throttle(case, options):
     rows, reactions, missed = {"one": [], "two": []}, [], {"one": [], "two": []}
     for _ in range(options.rounds):
         for policy in rows:
-            report = case.run(f"{policy}.json", "--emulate-script", "script.json", "--period-us", period_us, "--activations",
+            report = case.run(f"{policy}.json", "--emulate-script", "script.json", "--period", f"{period_us}us", "--activations",
                               options.releases, "--trace-out", "t.pftrace")
             rows[policy].append(report)
             missed[policy].append(misses(case, report))
@@ -246,7 +246,7 @@ def switches(case, options):
     draw = random.Random(options.seed)
     names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
     asked = names[0]
-    with case.running("three.json", "--period-us", 33_333):
+    with case.running("three.json", "--period", "33333us"):
         since = time.monotonic()
         for _ in range(options.switches):
             asked = draw.choice([n for n in names if n != asked])
@@ -279,7 +279,7 @@ def guest_switches(case, options):
                               {"name": "CPUs 50 % slower", "when": when("D"), "wcet_scale_pct": {"cpu": 150}}], 3)
     draw, now, script = random.Random(options.seed), "A", [
         "printf A >mode", "xauto run --app app.json --platform small --emulate --policy three.json --deployment deployment.json "
-        "--json --period-us 33333 --activations 0 -- ./driving >report &", "tool=$!", "sleep 3"]
+        "--json --period 33333us --activations 0 -- ./driving >report &", "tool=$!", "sleep 3"]
     for _ in range(options.switches * 3 // 2):  # some come before the one before is heard
         now = draw.choice([mode for mode in "ABCD" if mode != now])
         script += [f"printf {now} 1<>mode", f"sleep {draw.uniform(0.03, 0.12):.3f}"]  # never empty
@@ -357,7 +357,7 @@ def tables_changed(changes):
 
 def suspended(case):
     """(XPU, XNode, its job) of all that are; and how many coordinators told."""
-    runs = json.loads(case.xauto("top", "--once", "--json", "--interval-ms", 50))["runs"]
+    runs = json.loads(case.xauto("top", "--once", "--json", "--interval", "50ms"))["runs"]
     xpus = [xpu for run in runs if run["run"] == f"{case.tool.pid}-0" for xpu in run["xpus"]]
     return {(xpu["xpu"], w["xnode"], w["job"]) for xpu in xpus for w in xpu["workers"] if w["state"] == "suspended"}, len(xpus)
 
@@ -399,7 +399,7 @@ def elsewhere(case, report, policy):
 def deaths(case, options):
     from common import children_of
     case.deploy(defaults={"isolate": True, "restarts": 1_000_000})
-    period = () if case.own_rates else ("--period-us", 66_000, "--trace-out", "t.pftrace", "--trace-keep", "1h")
+    period = () if case.own_rates else ("--period", "66ms", "--trace-out", "t.pftrace", "--trace-keep", "1h")
     case.solve("three.json", [*SLOWER, {"name": "no DLA", "lost": ["dla0"]}], 3)
     draw = random.Random(options.seed)
     names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
@@ -412,7 +412,7 @@ def deaths(case, options):
                       name.startswith(("xauto-coordinat", "xauto-emud"))}
             pid = draw.choice(sorted(family))
             asked = draw.choice([n for n in names if n != asked])
-            wish = subprocess.Popen([options.bin + "/xauto", "param", "scenario", "--run", f"{case.tool.pid}-0", "--wait-s", "10", asked],
+            wish = subprocess.Popen([options.bin + "/xauto", "param", "scenario", "--run", f"{case.tool.pid}-0", "--wait", "10s", asked],
                                     stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             time.sleep(draw.uniform(0.0, 0.12))  # a process needs some ms to say it; a drain lasts a release
             with contextlib.suppress(ProcessLookupError):
@@ -484,7 +484,7 @@ def violations(case, options):
             for each, good in fine.items():
                 each.write_text(good)
             case.script({"at_us": 700_000 if file is None else 3_600_000_000, "speed_pct": {"gpu": 30}})
-            with case.running("watched.json", "--period-us", int(period_s * 1e6), "--emulate-script", "script.json", "--trace-out",
+            with case.running("watched.json", "--period", f"{int(period_s * 1e6)}us", "--emulate-script", "script.json", "--trace-out",
                               "t.pftrace"):
                 time.sleep(draw.uniform(0, period_s))
                 at = time.clock_gettime_ns(time.CLOCK_BOOTTIME)

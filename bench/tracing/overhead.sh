@@ -20,7 +20,7 @@ for ((i = 1; i <= pairs; i++)); do
   sysctl -q kernel.bpf_stats_enabled=1
   drive "traced-$i" &
   run=$!
-  "$bin/xauto" top --wait-s 10 --json --count 0 --record "$dir/trace-$i.jsonl" >/dev/null 2>&1 &
+  "$bin/xauto" top --wait 10s --json --count 0 --record "$dir/trace-$i.jsonl" >/dev/null 2>&1 &
   trace=$!
   sleep 1
   stats() { "$bpftool" -j prog list | python3 -c '

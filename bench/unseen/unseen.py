@@ -84,19 +84,18 @@ class App:
         pathlib.Path(self.path("run.json")).write_text(json.dumps(runnable(made, options)))
         at = os.path.basename if options.guest else str
         self.of = ["--app", at(self.path("run.json")), "--platform", at(self.path("platform.json"))]
-        self.run_flags = ["--emulate", "--json", "--seconds", options.seconds]
+        self.run_flags = ["--emulate", "--json", "--duration", f"{options.seconds}s"]
         self.program = ["--", "bench_standin" if options.guest else os.path.join(options.build, "bench/bench_standin"),
                         at(self.path("run.json")), number + 1, options.slack_us]
         self.commands = {
-            "fixed": ["compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit-s", 1, "--out",
+            "fixed": ["compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit", "1s", "--out",
                       "compare" if options.guest else self.path("compare"), *self.program],
             "keys": ["run", *self.of, *self.run_flags, "--policy", at(self.path("policy.json")), *self.program]}
         self.row = {"app": name, "xnodes": len(made["xnodes"])}
         self.runs = {}
 
     def solve(self):
-        done = tool(self.options, "solve", "--app", self.path("run.json"), "--platform", self.path("platform.json"), "--time-limit-s",
-                    self.options.solve_s, "--out", self.path("policy.json"))
+        done = tool(self.options, "solve", "--app", self.path("run.json"), "--platform", self.path("platform.json"), "--time-limit", f"{self.options.solve_s}s", "--out", self.path("policy.json"))
         if done.returncode:
             self.row["why"] = " ".join((done.stdout + done.stderr).strip().splitlines()[-2:])
 

@@ -129,7 +129,8 @@ int main(int argc, char** argv) {
   xauto::cli::Program app("Tries to break worst_case_us with random executions.");
   app.option("--policies", flags.policies).shown();
   app.option("--executions", flags.executions, "per policy").shown();
-  app.option("--time-limit-s", flags.time_limit_s, "of the solver, per policy").shown();
+  app.duration("--time-limit", flags.time_limit_s, xauto::cli::Unit::kSeconds, 0,
+               xauto::cli::kYearS, "of the solver, per policy");
   app.option("--seed", flags.seed).shown();
   app.option("--platform", flags.platform, "this one instead of small and large");
   if (const auto exit = app.parse(argc, argv)) return *exit;

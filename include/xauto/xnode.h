@@ -69,13 +69,13 @@ class XNode {
 
   /// Adds the implementation for one type of XPU.
   ///
-  /// init: called once per XPU instance on which this XNode is to run, on the worker's execution
+  /// init, of a `const XpuId&`: called once per XPU instance on which this XNode is to run, on the worker's execution
   ///   thread, before the first exec. Load the weights, create the context. It returns
-  ///   - `SchedHandle`, if the implementation owns nothing, or
+  ///   - `SchedHandle`, or a CUcontext or cudlaDevHandle itself, if the implementation owns nothing, or
   ///   - `Owned<T>` (see own()): the T is this instance's, is given to each exec there, and is
   ///     destroyed on the same thread when the run ends, in the reverse order of the inits.
   /// exec: `void` or `Status`, of `(State&, const Input&)`, or of `(T&, State&, const Input&)` if
-  ///   init returns an Owned<T>. Runs the stage to its end: when it returns, the XPU has finished.
+  ///   init returns an Owned<T>; what needs no input may leave that out. Runs the stage to its end: when it returns, the XPU has finished.
   ///   An exception or an error drops the activation, is counted and reported; the App goes on.
   template <class Init, class Exec>
   XNode& add_impl(const XPU& xpu, Init init, Exec exec) {
@@ -118,18 +118,19 @@ class XNode {
     if constexpr (std::is_void_v<Object>) {
       static_assert(std::is_convertible_v<Made, SchedHandle>,
                     "init returns a SchedHandle, or what own() makes");
-      static_assert(std::is_invocable_v<Exec, State&, const Input&>,
-                    "exec is void(State&, const Input&) or Status(State&, const Input&)");
+      static_assert(takes<Exec, State&>,
+                    "exec is void or Status of (State&, const Input&) or (State&)");
       return {
           [init = std::move(init)](const XpuId& id, std::shared_ptr<void>&) mutable -> SchedHandle {
             return init(id);
           },
           [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
-            return call(exec, *static_cast<State*>(state), input);
+            return call(exec, input, *static_cast<State*>(state));
           }};
     } else {
-      static_assert(std::is_invocable_v<Exec, Object&, State&, const Input&>,
-                    "exec is void or Status of (T&, State&, const Input&), T being what init owns");
+      static_assert(takes<Exec, Object&, State&>,
+                    "exec is void or Status of (T&, State&, const Input&) or (T&, State&), T being "
+                    "what init owns");
       return {[init = std::move(init)](const XpuId& id,
                                        std::shared_ptr<void>& object) mutable -> SchedHandle {
                 Owned<Object> made = init(id);
@@ -139,17 +140,26 @@ class XNode {
               },
               [exec = std::move(exec)](void* object, void* state,
                                        const Input& input) mutable -> Status {
-                return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state),
-                            input);
+                return call(exec, input, *static_cast<Object*>(object),
+                            *static_cast<State*>(state));
               }};
     }
   }
   template <class Exec, class... Arguments>
-  static Status call(Exec& exec, Arguments&... arguments) {
-    if constexpr (std::is_same_v<std::invoke_result_t<Exec&, Arguments&...>, Status>) {
-      return exec(arguments...);
+  static constexpr bool takes = std::is_invocable_v<Exec&, Arguments..., const Input&> ||
+                                std::is_invocable_v<Exec&, Arguments...>;
+  template <class Exec, class... Arguments>
+  static Status call(Exec& exec, const Input& input, Arguments&... arguments) {
+    const auto run = [&] {
+      if constexpr (std::is_invocable_v<Exec&, Arguments&..., const Input&>)
+        return exec(arguments..., input);
+      else
+        return exec(arguments...);
+    };
+    if constexpr (std::is_same_v<decltype(run()), Status>) {
+      return run();
     } else {
-      exec(arguments...);
+      run();
       return {};
     }
   }

@@ -11,6 +11,9 @@
 
 #include <xauto/result.h>
 
+struct CUctx_st;          // what a CUcontext of cuda.h points at
+struct cudlaDevHandle_t;  // and a cudlaDevHandle of cudla.h
+
 namespace xauto {
 
 /// A type of processor. The three of a Jetson have names; any other word names an XPU of the app's
@@ -64,6 +67,11 @@ class SchedHandle {
 
   /// gate()
   SchedHandle() = default;
+  /// cuda_context() and cudla_device(): an `init` may return a CUcontext or a cudlaDevHandle itself, as the paper's does.
+  // NOLINTNEXTLINE(google-explicit-constructor): the point of it
+  SchedHandle(CUctx_st* cu_context) : SchedHandle(cuda_context(cu_context)) {}
+  // NOLINTNEXTLINE(google-explicit-constructor)
+  SchedHandle(cudlaDevHandle_t* device) : SchedHandle(cudla_device(device)) {}
   /// For an XPU whose work cannot be suspended: one job at a time, to its end.
   [[nodiscard]] static SchedHandle gate() { return {Kind::kGate, 0}; }
   /// For a CPU implementation that computes in `exec`, on the thread it is called on.

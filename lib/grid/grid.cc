@@ -189,7 +189,7 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   grid.one_at_a_time = app.one_at_a_time;
   if (session.releases.period_us > 0 && !app.one_at_a_time)
     return tl::unexpected<Error>(
-        refused("would change what the policy was made for", "--period-us",
+        refused("would change what the policy was made for", "--period",
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
   XAUTO_TRY(grid.take_in_flight(graph, app));
   XAUTO_TRY(grid.take_sources(graph, app));

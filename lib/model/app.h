@@ -137,6 +137,8 @@ struct AppSpec {
   std::vector<std::pair<int, int>> samples = {};
   std::vector<ChainSpec> chains = {};  ///< the readers fill it in where the file has none
   std::vector<TransferSpec> transfers = {};
+  /// Why the profile that it was made from ended early; empty: it did not, or nobody has made one.
+  std::string incomplete = {};
 
   [[nodiscard]] int find(std::string_view xnode) const;  ///< index or -1
   [[nodiscard]] std::size_t rates() const;               ///< different periods of its sources

@@ -318,7 +318,7 @@ Result<Deployment> parse(std::string_view text, std::string_view origin, const A
     });
   if (root.has("tables")) {
     const Reader tables = root["tables"];
-    if (tables.has("dwell_ms")) d.tables.dwell_ms = tables["dwell_ms"].integer(1, kMaxDwellMs);
+    if (tables.has("dwell_us")) d.tables.dwell_us = tables["dwell_us"].integer(1, kMaxDwellUs);
     if (tables.has("margin_pct"))
       d.tables.margin_pct = tables["margin_pct"].integer(0, kMaxMarginPct);
   }
@@ -385,7 +385,7 @@ std::string to_json(const Deployment& d) {
   }
   if (d.tables != TablesDeployment{}) {
     ordered_json tables = ordered_json::object();
-    if (d.tables.dwell_ms) tables["dwell_ms"] = *d.tables.dwell_ms;
+    if (d.tables.dwell_us) tables["dwell_us"] = *d.tables.dwell_us;
     if (d.tables.margin_pct) tables["margin_pct"] = *d.tables.margin_pct;
     document["tables"] = std::move(tables);
   }

@@ -72,7 +72,7 @@ struct ChainDeployment {
 
 /// Of a run with tables: when it goes back to a scenario below the one in force.
 struct TablesDeployment {
-  std::optional<std::int64_t> dwell_ms;    ///< not before so long; 2000
+  std::optional<std::int64_t> dwell_us;    ///< not before so long; 2 000 000
   std::optional<std::int64_t> margin_pct;  ///< jobs stay so much below what that scenario allows; 0
   bool operator==(const TablesDeployment&) const = default;
 };
@@ -100,7 +100,7 @@ inline constexpr std::size_t kMaxChains = 256;
 inline constexpr std::size_t kMaxInstances = 4096, kMaxRemaps = 4096;  ///< of one module
 inline constexpr std::size_t kMaxTransports = 256;
 inline constexpr std::int64_t kMaxBudgetPct = 1'000'000;
-inline constexpr std::int64_t kMaxDwellMs = 3'600'000, kMaxMarginPct = 90;
+inline constexpr std::int64_t kMaxDwellUs = 3'600'000'000, kMaxMarginPct = 90;
 
 /// `origin` names the text in messages. Checked against `app`: its name, modules and XNodes.
 [[nodiscard]] Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,

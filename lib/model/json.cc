@@ -5,6 +5,7 @@
 
 #include <cstdint>
 
+#include "base/log.h"
 #include "model/json_parts.h"
 #include "model/json_value.h"
 
@@ -354,6 +355,8 @@ Result<AppSpec> load_app(const std::string& path) {
   Keys keys;
   XAUTO_ASSIGN(AppSpec app, parse_app(text, path, &keys));
   XAUTO_TRY(judge(keys, path));
+  if (!app.incomplete.empty())
+    log::warn("{}: its WCETs are of an incomplete profile: {}", path, app.incomplete);
   return app;
 }
 

@@ -320,6 +320,7 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
   // What is asked of the solver; tools/xauto/objectives_file.h reads it.
   root.knows({"pins/*/xnode", "pins/*/xpu", "forbids/*/xnode", "forbids/*/xpu", "groups"});
   app.name = root["name"].text();
+  if (root.has("incomplete")) app.incomplete = root["incomplete"].text();
   std::vector<Keys::Undeclared> undeclared;
   read_clocks_and_sources(root, app, undeclared);
   const NameIndex sources = index_by_name(app.sources);
@@ -350,6 +351,7 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
 
 std::string to_json(const AppSpec& app) {
   ordered_json document = {{"schema", "xauto.app"}, {"version", kAppVersion}, {"name", app.name}};
+  if (!app.incomplete.empty()) document["incomplete"] = app.incomplete;
   if (ordered_json clocks = clocks_to_json(app); !clocks.empty())
     document["clocks"] = std::move(clocks);
   document["sources"] = sources_to_json(app);

@@ -24,7 +24,7 @@ void read_head(const Reader& root, Policy& policy) {
 Result<Policy> accept(Policy policy, const Reader& root, const Reader::Context& context,
                       const nlohmann::json& document, const AppSpec& app, const Platform& platform,
                       const std::vector<std::size_t>& line_of, Keys* keys) {
-  if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
+  if (root.has("solve_us")) policy.solve_us = root["solve_us"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
   Status valid = validate(policy, app, platform);
   if (!valid) valid = in_file_order(std::move(valid).error(), "xnodes", line_of);
@@ -202,7 +202,7 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
     if (c.urgent_worst_case_us)
       document["chains"].back()["urgent_worst_case_us"] = *c.urgent_worst_case_us;
   }
-  document["solve_ms"] = policy.solve_ms;
+  document["solve_us"] = policy.solve_us;
   return json_document::to_text(document);
 }
 

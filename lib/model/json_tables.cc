@@ -243,7 +243,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
     root["handovers"].each_element(kMaxTables * kMaxTables, [&](std::size_t, const Reader& x) {
       tables.handovers.push_back(read_handover(x, app, table_of));
     });
-  if (root.has("solve_ms")) tables.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
+  if (root.has("solve_us")) tables.solve_us = root["solve_us"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
   for (std::size_t s = 0; s < tables.serves.size(); ++s)
     if (tables.serves[s].table < 0)
@@ -345,7 +345,7 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
   if (!tables.handovers.empty()) document["handovers"] = ordered_json::array();
   for (const Handover& h : tables.handovers)
     document["handovers"].push_back(handover_to_json(h, tables, app));
-  document["solve_ms"] = tables.solve_ms;
+  document["solve_us"] = tables.solve_us;
   return json_document::to_text(document);
 }
 

@@ -263,8 +263,8 @@ Status validate(const Policy& policy, const AppSpec& app, const Platform& platfo
     XAUTO_TRY(validation.edges());
     XAUTO_TRY(validation.chains());
   }
-  if (policy.solve_ms < 0)
-    return invalid(std::to_string(policy.solve_ms) + " is no time", "/solve_ms");
+  if (policy.solve_us < 0)
+    return invalid(std::to_string(policy.solve_us) + " is no time", "/solve_us");
   return {};
 }
 
@@ -301,7 +301,7 @@ PriorityPlan assignment_of(const Policy& keys) {
   policy.platform = keys.platform;
   policy.method = keys.method;
   policy.order = keys.order;
-  policy.solve_ms = keys.solve_ms;
+  policy.solve_us = keys.solve_us;
   std::vector<std::size_t> by_key(keys.placements.size());
   std::iota(by_key.begin(), by_key.end(), std::size_t{0});
   policy.placements.resize(keys.placements.size());
@@ -350,7 +350,7 @@ Policy by_priorities(const PriorityPlan& plan, const AppSpec& app) {
   policy.platform = plan.platform;
   policy.method = plan.method;
   policy.order = plan.order;
-  policy.solve_ms = plan.solve_ms;
+  policy.solve_us = plan.solve_us;
   policy.certified = false;
   for (const PriorityPlacement& placed : plan.placements) {
     policy.placements.push_back({placed.xpu, {}});

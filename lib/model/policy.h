@@ -58,7 +58,7 @@ struct Policy {
   std::vector<Placement> placements;  ///< one per AppSpec::xnodes entry, same order
   std::vector<ChainClaim>
       chains;  ///< one per AppSpec::chains entry, same order; none where it is not certified
-  std::int64_t solve_ms = 0;
+  std::int64_t solve_us = 0;
   /// Pairs (u, v) of XNodes on one XPU that are released together (released_together): v of an activation is not
   /// started before u of it has ended. A pair does what an edge does, without a message.
   std::vector<std::pair<int, int>> order = {};

@@ -99,8 +99,8 @@ Status validate(const PriorityPlan& policy, const AppSpec& app, const Platform& 
   if (policy.worst_case_us && !is_time(*policy.worst_case_us))
     return fail(ErrorCode::kInvalid, std::to_string(*policy.worst_case_us) + " is no latency",
                 "/worst_case_us");
-  if (policy.solve_ms < 0)
-    return fail(ErrorCode::kInvalid, std::to_string(policy.solve_ms) + " is no time", "/solve_ms");
+  if (policy.solve_us < 0)
+    return fail(ErrorCode::kInvalid, std::to_string(policy.solve_us) + " is no time", "/solve_us");
   return {};
 }
 

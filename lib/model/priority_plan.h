@@ -40,7 +40,7 @@ struct PriorityPlan {
   bool optimal = false;  ///< proven: latency_us == lower_bound_us
   /// Of a release that meets no other, its sources in phase, every job within its WCET; nullopt: not certified.
   std::optional<std::int64_t> worst_case_us;
-  std::int64_t solve_ms = 0;
+  std::int64_t solve_us = 0;
   bool operator==(const PriorityPlan&) const = default;
 };
 

@@ -268,6 +268,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   XAUTO_TRY(validate(profile));
   AppSpec app;
   app.name = profile.app;
+  app.incomplete = profile.incomplete;
   app.sources = profile.sources;
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {

@@ -70,7 +70,7 @@ struct Tables {
   std::vector<Handover> handovers =
       {};                      ///< all (from, to) of different tables, in that order; or none
   std::int64_t notice_us = 0;  ///< they count on it that a job that takes too long is known by then
-  std::int64_t solve_ms = 0;
+  std::int64_t solve_us = 0;
   bool operator==(const Tables&) const = default;
 
   /// The largest of worst_case_us / lower_bound_us.

@@ -135,7 +135,7 @@ Result<Policy> merge_policies(const std::vector<AppSpec>& apps, const AppSpec& m
       all.chains.push_back(std::move(claim));
     }
     for (const auto& [u, v] : policy.order) all.order.emplace_back(u + first, v + first);
-    all.solve_ms += policy.solve_ms;
+    all.solve_us += policy.solve_us;
     first += static_cast<int>(apps[a].xnodes.size());
   }
   return all;

@@ -662,7 +662,7 @@ std::int64_t Releaser::distance_ns(std::int64_t from_ns, std::int64_t to_ns) {
   line +=
       distance_ns < recorded_ns
           ? fmt::format("{:.3f} s of it are waited for", static_cast<double>(distance_ns) * 1e-9)
-          : fmt::format("the next message comes in {:.0f} s; --max-gap 1 or --rate shortens that",
+          : fmt::format("the next message comes in {:.0f} s; --max-gap 1s or --rate shortens that",
                         static_cast<double>(distance_ns) * 1e-9);
   log::warn("{}", line);
   if (++gaps_ <= kMaxGapsTold) notes_.push_back(std::move(line));

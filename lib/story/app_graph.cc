@@ -85,26 +85,31 @@ std::vector<int> slowest_sources(const AppSpec& app) {
   return slowest;
 }
 
-constexpr int kCellWidth = 168, kCellHeight = 38, kCellAcross = 216, kCellDown = 74, kMargin = 16,
-              kFirstBand = 46;
-constexpr int kBandHead = 44;                           // of a band, with its name
+constexpr int kCellWidth = 168, kCellHeight = 38, kCellAcross = 216, kMargin = 16, kFirstBand = 46;
+constexpr int kCellDown = 74,
+              kSampledDown = 96;  // of an app that samples: room for words and lines
+constexpr int kBandHead = 44;     // of a band, with its name
 constexpr std::size_t kNodeName = 22, kNodeWords = 27;  // bytes that fit into a node
 
 constexpr const char* kGraphStyle = R"(<style>
   :root { --fg:#1c1f24; --dim:#5c636e; --line:#d5d9df; --lane:#f4f5f7; --box:#fff }
   @media (prefers-color-scheme: dark) { :root { --fg:#e7e9ed; --dim:#9aa2ae; --line:#3a404a; --lane:#22262d; --box:#14171c } }
-  text { fill:var(--fg) } .dim { fill:var(--dim); font-size:11px } .b { font-weight:650 }
+  svg { background:var(--box) } text { fill:var(--fg) } .dim { fill:var(--dim); font-size:11px } .b { font-weight:650 }
   .lane { fill:var(--lane) } .module { fill:none; stroke:var(--dim); stroke-opacity:.6 }
   .node { fill:var(--box); stroke-width:2 } .none { stroke:var(--dim) }
-  .line { fill:none; stroke:var(--dim); stroke-width:1.3 } .sample { stroke-dasharray:5 4 }
+  .line { fill:none; stroke:var(--dim); stroke-width:1.3 }
+  .line.sample { stroke:#c2571a; stroke-width:1.8; stroke-dasharray:6 4 } text.samples { fill:#c2571a; font-size:11px }
 </style>
-<defs><marker id="end" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z" fill="#808894"/></marker></defs>
+<defs><marker id="end" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z" fill="#808894"/></marker><marker id="read" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="6" markerHeight="6" orient="auto"><path d="M0 0L8 4L0 8z" fill="#c2571a"/></marker></defs>
 )";
 
 class Drawing {
  public:
   Drawing(const AppSpec& app, const GraphPlaces& places)
-      : app_(app), places_(places), count_(std::min(app.xnodes.size(), kMostDrawn)) {}
+      : app_(app),
+        places_(places),
+        count_(std::min(app.xnodes.size(), kMostDrawn)),
+        down_(app.samples.empty() ? kCellDown : kSampledDown) {}
 
   std::string draw() {
     place_columns();
@@ -276,7 +281,7 @@ class Drawing {
       box->row = take_rows(band, box->first, box->last, box->height, wanted);
       for (const std::size_t i : box->xnodes) {
         cells_[i].row += box->row;
-        cells_[i].y = y + kBandHead + cells_[i].row * kCellDown;
+        cells_[i].y = y + kBandHead + cells_[i].row * down_;
         done[i] = 1;
       }
     }
@@ -290,9 +295,9 @@ class Drawing {
           wanted = done[i] != 0 ? cells_[i].row : 0;
         }
       source_cells_[s] = {column, take_rows(band, column, column, 1, wanted), 0};
-      source_cells_[s].y = y + kBandHead + source_cells_[s].row * kCellDown;
+      source_cells_[s].y = y + kBandHead + source_cells_[s].row * down_;
     }
-    return y + kBandHead + static_cast<int>(band.taken.size()) * kCellDown;
+    return y + kBandHead + static_cast<int>(band.taken.size()) * down_;
   }
 
   static int x_of(int column) { return kMargin + column * kCellAcross; }
@@ -305,53 +310,69 @@ class Drawing {
     const int rows = static_cast<int>(band.taken.size());
     std::string out =
         fmt::format("<rect x=\"4\" y=\"{}\" width=\"{}\" height=\"{}\" rx=\"6\" class=\"lane\"/>\n",
-                    band.y, width() - 8, kBandHead + rows * kCellDown - 8);
+                    band.y, width() - 8, kBandHead + rows * down_ - 8);
     out += text(12, band.y + 17, "b", xml_safe(band.name));
     for (const auto& [module, box] : band.boxes) {
-      const int y = band.y + kBandHead + box.row * kCellDown - 18;
+      const int y = band.y + kBandHead + box.row * down_ - 18;
       out += fmt::format(
           "<rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" rx=\"8\" class=\"module\"/>\n",
           x_of(box.first) - 8, y, (box.last - box.first) * kCellAcross + kCellWidth + 16,
-          (box.height - 1) * kCellDown + kCellHeight + 26);
+          (box.height - 1) * down_ + kCellHeight + 26 + (down_ - kCellDown) / 2);
       out += text(x_of(box.first), y + 13, "dim", clipped(module, kNodeWords));
     }
     return out;
   }
 
   /// From the right side of one to the left side of the other.
-  static std::string arrow(const Cell& from, const Cell& to, const char* style,
-                           const std::string& title) {
+  static std::string arrow(const Cell& from, const Cell& to, const std::string& title) {
     const int x1 = x_of(from.column) + kCellWidth, y1 = from.y + kCellHeight / 2;
     const int x2 = x_of(to.column), y2 = to.y + kCellHeight / 2;
     const int bend = x2 > x1 ? std::max(24, (x2 - x1) / 2) : 80;
     return fmt::format(
-        "<path d=\"M{} {}C{} {} {} {} {} {}\" class=\"{}\" marker-end=\"url(#end)\">"
+        "<path d=\"M{} {}C{} {} {} {} {} {}\" class=\"line\" marker-end=\"url(#end)\">"
         "<title>{}</title></path>\n",
-        x1, y1, x1 + bend, y1, x2 - bend, y2, x2, y2, style, xml_safe(title));
+        x1, y1, x1 + bend, y1, x2 - bend, y2, x2, y2, xml_safe(title));
+  }
+
+  /// Never behind a node: down beside who is sampled, along below its row, and to the reader from the left. What leaves one
+  /// XNode shares a lane.
+  static std::string sample_line(const Cell& from, const Cell& to, int lane,
+                                 const std::string& title) {
+    const int x1 = x_of(from.column) + kCellWidth, x2 = x_of(to.column);
+    const int gap = 14 + 4 * (lane % 5), below = from.y + kSampledDown - 34 + 3 * (lane % 4);
+    const int y1 = from.y + kCellHeight / 2 + 3 * (lane % 4) + 3, y2 = to.y + kCellHeight / 2 + 6;
+    const std::string along = to.column == from.column + 1
+                                  ? fmt::format("H{}", x1 + gap)
+                                  : fmt::format("H{}V{}H{}", x1 + gap, below, x2 - 48 + gap);
+    return fmt::format(
+        "<path d=\"M{} {}{}V{}H{}\" class=\"line sample\" marker-end=\"url(#read)\">"
+        "<title>{}</title></path>\n",
+        x1, y1, along, y2, x2, xml_safe(title));
   }
 
   std::string lines() {
     std::string out;
-    const auto add = [&](bool drawn, const Cell* from, const Cell* to, const char* style,
-                         const std::string& title) {
+    const auto one_more = [&](bool drawn) {
       ++lines_;
-      if (!drawn || drawn_lines_ == kMostLines) return;
+      if (!drawn || drawn_lines_ == kMostLines) return false;
       ++drawn_lines_;
-      out += arrow(*from, *to, style, title);
+      return true;
     };
     for (std::size_t i = 0; i < app_.xnodes.size(); ++i)
-      for (const int s : app_.xnodes[i].sources) {
-        const bool drawn = i < count_;
-        add(drawn, &source_cells_[at(s)], drawn ? &cells_[i] : nullptr, "line",
-            app_.sources[at(s)].name + " fires " + app_.xnodes[i].name);
-      }
-    for (const bool sample : {false, true})
-      for (const auto& [u, v] : sample ? app_.samples : app_.edges) {
-        const bool drawn = at(u) < count_ && at(v) < count_;
-        const std::string &a = app_.xnodes[at(u)].name, &b = app_.xnodes[at(v)].name;
-        add(drawn, drawn ? &cells_[at(u)] : nullptr, drawn ? &cells_[at(v)] : nullptr,
-            sample ? "line sample" : "line", sample ? b + " samples " + a : a + " before " + b);
-      }
+      for (const int s : app_.xnodes[i].sources)
+        if (one_more(i < count_))
+          out += arrow(source_cells_[at(s)], cells_[i],
+                       app_.sources[at(s)].name + " fires " + app_.xnodes[i].name);
+    for (const auto& [u, v] : app_.edges)
+      if (one_more(at(u) < count_ && at(v) < count_))
+        out += arrow(cells_[at(u)], cells_[at(v)],
+                     app_.xnodes[at(u)].name + " before " + app_.xnodes[at(v)].name);
+    std::map<int, int> lanes;  // by who is sampled
+    for (const auto& [u, v] : app_.samples)
+      if (one_more(at(u) < count_ && at(v) < count_))
+        out += sample_line(cells_[at(u)], cells_[at(v)],
+                           lanes.try_emplace(u, static_cast<int>(lanes.size())).first->second,
+                           app_.xnodes[at(v)].name + " samples " + app_.xnodes[at(u)].name);
     return out;
   }
 
@@ -377,7 +398,18 @@ class Drawing {
                xml_safe(app_.xnodes[i].name + " of XModule " + app_.xnodes[i].module + ": " +
                         place)) +
            text(x_of(cell.column) + 8, cell.y + 16, "", clipped(app_.xnodes[i].name, kNodeName)) +
-           text(x_of(cell.column) + 8, cell.y + 31, "dim", clipped(place, kNodeWords));
+           text(x_of(cell.column) + 8, cell.y + 31, "dim", clipped(place, kNodeWords)) +
+           sampled_by(i);
+  }
+
+  /// Below the node: whose newest result it reads.
+  [[nodiscard]] std::string sampled_by(std::size_t i) const {
+    std::string names;
+    for (const auto& [u, v] : app_.samples)
+      if (at(v) == i) names += (names.empty() ? "samples " : ", ") + app_.xnodes[at(u)].name;
+    if (names.empty()) return {};
+    return text(x_of(cells_[i].column), cells_[i].y + kCellHeight + 13, "samples",
+                clipped(names, kNodeWords));
   }
 
   [[nodiscard]] std::string source(std::size_t s) const {
@@ -394,13 +426,14 @@ class Drawing {
   }
 
   [[nodiscard]] std::string legend(int y) const {
-    std::string words = "solid: fires; dashed: is sampled, the newest is read";
+    std::string words =
+        "solid: fires; dashed, with an arrow at who reads: its newest result is sampled";
     if (count_ < app_.xnodes.size() || drawn_lines_ < lines_)
       words += fmt::format("; drawn are {} of {} XNodes, {} of {} arrows (--dot has all)", count_,
                            app_.xnodes.size(), drawn_lines_, lines_);
     std::string out = text(8, y + 14, "dim", words);
     if (places_.platform == nullptr) return out;
-    int x = 480;
+    int x = 560;
     for (const std::string& type : places_.platform->types()) {
       if (count_ < app_.xnodes.size() || drawn_lines_ < lines_) break;  // the words need the room
       out += fmt::format(
@@ -415,6 +448,7 @@ class Drawing {
   const AppSpec& app_;
   const GraphPlaces& places_;
   const std::size_t count_;  ///< of XNodes: the first ones are drawn
+  const int down_;           ///< from one row to the next
   int columns_ = 1;
   std::vector<Cell> cells_, source_cells_;
   std::map<std::pair<int, double>, Band> bands_;  ///< by clock, then by period
@@ -442,7 +476,10 @@ std::string graph_dot(const AppSpec& app, const GraphPlaces& places) {
     for (const int s : app.xnodes[i].sources) out += fmt::format("  s{} -> x{};\n", s, i);
   for (const auto& [u, v] : app.edges) out += fmt::format("  x{} -> x{};\n", u, v);
   for (const auto& [u, v] : app.samples)
-    out += fmt::format("  x{} -> x{} [style=dashed, constraint=false];\n", u, v);
+    out += fmt::format(
+        "  x{} -> x{} [style=dashed, constraint=false, color=\"#c2571a\", fontcolor=\"#c2571a\", "
+        "label=\"sampled\"];\n",
+        u, v);
   return out + "}\n";
 }
 

@@ -15,7 +15,7 @@ namespace {
 
 ChoiceOptions options_of(const Deployment& deployment) {
   ChoiceOptions options;
-  if (deployment.tables.dwell_ms) options.dwell_ns = *deployment.tables.dwell_ms * 1'000'000;
+  if (deployment.tables.dwell_us) options.dwell_ns = *deployment.tables.dwell_us * 1'000;
   if (deployment.tables.margin_pct) options.margin_pct = *deployment.tables.margin_pct;
   return options;
 }

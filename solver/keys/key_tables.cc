@@ -310,7 +310,7 @@ class KeyTablesSearch {
         return fail(ErrorCode::kInfeasible,
                     "no policy was found in " + std::to_string(share_s) +
                         " s, and that there is none is not proven",
-                    where, "more time: --time-limit-s");
+                    where, "more time: --time-limit");
       loss_of_.push_back(lossy);
       bound_.push_back(of_all_chains(answer.lower_bound_us, loss));
       bound_value_.push_back(std::max(kLeastValue, value_of(bound_.back())));
@@ -491,7 +491,7 @@ class KeyTablesSearch {
                   app_.name, "ask for more tables, or give it more time");
     XAUTO_TRY(run_.judge(choice.worst, app_.name));
     XAUTO_ASSIGN(Tables tables, with_cheap_changes(choice));
-    tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
+    tables.solve_us = static_cast<std::int64_t>(run_.elapsed() * 1e6);
     return tables;
   }
 

@@ -485,7 +485,7 @@ class Solving {
     }
     answer_.totals = totals_of(app_, worst_cases(answer_.policy));
     answer_.least_largest = std::min(answer_.totals.largest, least.figures.largest / unit());
-    answer_.policy.solve_ms = static_cast<std::int64_t>(elapsed_s() * 1e3);
+    answer_.policy.solve_us = static_cast<std::int64_t>(elapsed_s() * 1e6);
     answer_.first_answer_ms = round_.first_ms;
     for (int i = 0; options_.hint != nullptr && i < p_.num_xnodes; ++i) {
       const int was = options_.hint->placements[at(i)].xpu;

@@ -44,7 +44,7 @@ class Target:
                                            for n, m, x in xnodes],
                                 "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]})
         self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "testapp", "transport": transport or {}})
-        subprocess.run([self.xauto, "solve", "--app", self.path("app.json"), "--platform", self.path("platform.json"), "--time-limit-s", "1",
+        subprocess.run([self.xauto, "solve", "--app", self.path("app.json"), "--platform", self.path("platform.json"), "--time-limit", "1s",
                         "--out", self.path("policy.json")], check=True, capture_output=True)
         self.err = open(self.path(name + ".err"), "w+")
         self.out = open(self.path(name + ".out"), "w+")
@@ -66,7 +66,7 @@ class Target:
 
     def activations(self):
         try:
-            done = subprocess.run([self.xauto, "top", "--run", f"{self.tool.pid}-0", "--wait-s", "2", "--once", "--interval-ms", "50", "--json"],
+            done = subprocess.run([self.xauto, "top", "--run", f"{self.tool.pid}-0", "--wait", "2s", "--once", "--interval", "50ms", "--json"],
                                   capture_output=True, text=True, timeout=40)
             return min(m["activations"] for m in json.loads(done.stdout)["runs"][0]["modules"])
         except (ValueError, KeyError, IndexError, subprocess.TimeoutExpired):

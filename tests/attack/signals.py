@@ -75,7 +75,7 @@ class Runs:
 
     def solve(self, app, platform, out):
         done = subprocess.run([self.xauto, "solve", "--app", self.path(app), "--platform",
-                               self.path(platform) if platform.endswith(".json") else platform, "--time-limit-s", "3",
+                               self.path(platform) if platform.endswith(".json") else platform, "--time-limit", "3s",
                                "--out", self.path(out)], capture_output=True, text=True)
         assert os.path.exists(self.path(out)), done.stderr
 

@@ -41,7 +41,7 @@ class Page(unittest.TestCase):
         cls.addClassCleanup(cls.folder.cleanup)
         out = os.path.join(cls.folder.name, "out")
         answer = xauto("compare", "--app", APP, "--platform", "small", "--emulate", "--lockstep",
-                       "--activations", 220 if SHOTS else 3, "--time-limit-s", 1, "--out", out, "--", DRIVING)
+                       "--activations", 220 if SHOTS else 3, "--time-limit", "1s", "--out", out, "--", DRIVING)
         assert answer.returncode == 0, answer.stderr
         cls.report = out + "/report.html"
         cls.chains = [c["name"] for c in json.loads(pathlib.Path(out, "report.json").read_text())["runs"][0]["chains"]]

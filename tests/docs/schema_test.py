@@ -209,7 +209,7 @@ def test_what_the_tools_write_is_valid():
         scenarios = {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": [{"name": "slow", "wcet_scale_pct": {"gpu": 150}}]}
         (folder / "scenarios.json").write_text(json.dumps(scenarios))
         written("tables", "solve", "--app", APP, "--platform", "small", "--scenarios", "scenarios.json", "--tables", 1,
-                "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t.json", out="t.json")
+                "--max-evaluations", 200, "--time-limit", "60s", "--out", "t.json", out="t.json")
         written("simulation", "simulate", "--app", APP, "--platform", "small", "--policy", "p.json", "--out", "s.json",
                 out="s.json")
         rates = SOURCE / "examples/driving/rates.json"
@@ -218,9 +218,9 @@ def test_what_the_tools_write_is_valid():
         scenarios["app"] = "driving-rates"
         (folder / "scenarios-2.json").write_text(json.dumps(scenarios))
         written("tables", "solve", "--app", rates, "--platform", "small", "--scenarios", "scenarios-2.json", "--tables", 1,
-                "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t2.json", out="t2.json")
+                "--max-evaluations", 200, "--time-limit", "60s", "--out", "t2.json", out="t2.json")
         written("demand", "check", "--app", rates, "--policy", "p2.json", "--demand-out", "d.json", out="d.json")
-        written("simulation", "simulate", "--app", rates, "--platform", "small", "--policy", "p2.json", "--seconds", 2,
+        written("simulation", "simulate", "--app", rates, "--platform", "small", "--policy", "p2.json", "--duration", "2s",
                 "--out", "s2.json", out="s2.json")
         for format_, verb in (("check", "check"), ("explanation", "explain")):
             printed = xauto(verb, "--app", rates, "--platform", "small", "--policy", "p2.json", "--json", cwd=folder).stdout

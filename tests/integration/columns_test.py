@@ -58,13 +58,13 @@ class Columns(unittest.TestCase):
                 self.assertRegex(line, r"[a-z],? [a-z]|" + LONG, "neither a sentence nor one word")
 
     def solved(self, app, out):
-        return self.judge("solve", "--app", app, "--platform", "small", "--time-limit-s", 1, "--out", out)
+        return self.judge("solve", "--app", app, "--platform", "small", "--time-limit", "1s", "--out", out)
 
     def test_of_a_policy(self):
         for app in (APP, RATES, "everything.json"):
             self.solved(app, "policy.json")
             for verb in ("check", "explain", "simulate"):
-                limit = ("--time-limit-s", 1) if verb == "explain" else ()
+                limit = ("--time-limit", "1s") if verb == "explain" else ()
                 text = self.judge(verb, "--app", app, "--policy", "policy.json", *limit)
         self.assertIn("…", text)
         self.assertIn("la.pre" + LONG, xauto("simulate", "--app", app, "--policy", "policy.json", "--json", cwd=self.folder).stdout)
@@ -74,12 +74,12 @@ class Columns(unittest.TestCase):
         for xnode in app["xnodes"]:
             xnode["wcet_us"] = {kind: 3 * us for kind, us in xnode["wcet_us"].items()}
         self.write("much.json", app)
-        self.judge("solve", "--app", "much.json", "--platform", "small", "--time-limit-s", 1, "--out", "much.policy.json", status=(1,))
+        self.judge("solve", "--app", "much.json", "--platform", "small", "--time-limit", "1s", "--out", "much.policy.json", status=(1,))
 
     def test_of_tables(self):
         for app, scenarios in (("chains.json", "one"), ("everything.json", "two")):
             self.judge("solve", "--app", app, "--platform", "small", "--scenarios", f"{scenarios}.scenarios.json", "--tables", 3,
-                       "--time-limit-s", 3, "--out", "tables.json")
+                       "--time-limit", "3s", "--out", "tables.json")
             self.judge("check", "--app", app, "--policy", "tables.json")
 
     def test_of_runs(self):
@@ -90,7 +90,7 @@ class Columns(unittest.TestCase):
                 self.solved(app, policy)
             self.judge("run", "--app", app, *emulated, "--policy", policy, "--activations", 5, "--trace-out", "t.pftrace", "--", program)
             self.judge("explain", "--trace", "t.pftrace")
-            self.judge("compare", "--app", app, *emulated, "--activations", 2, "--time-limit-s", 1, "--out", "compared", "--", program)
+            self.judge("compare", "--app", app, *emulated, "--activations", 2, "--time-limit", "1s", "--out", "compared", "--", program)
         self.judge("run", "--app", APP, *emulated, "--policy", "driving.json", "--activations", 2, "--name", "night" + LONG, "--", DRIVING)
 
     def test_of_a_run_that_goes_on(self):
@@ -99,9 +99,9 @@ class Columns(unittest.TestCase):
                                  "--", str(BIN / "driving-rates")], cwd=self.folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         self.addCleanup(lambda: (tool.kill(), tool.communicate()))
         wait_for("results", lambda: activations(tool).get("CTL", 0) > 20, tool)
-        self.judge("top", "--once", "--interval-ms", 50)
+        self.judge("top", "--once", "--interval", "50ms")
         for words in (("--once",), ("--count", 2)):
-            self.judge("top", "--run", f"{tool.pid}-0", *words, "--interval-ms", 50)
+            self.judge("top", "--run", f"{tool.pid}-0", *words, "--interval", "50ms")
         self.judge("param", "--run", f"{tool.pid}-0", status=(0,))
 
     def test_of_this_machine_and_of_times(self):

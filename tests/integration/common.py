@@ -54,7 +54,7 @@ def without_bpf():
 
 def top(tool, *options, wait_s=10):
     """What `xauto top` says of this run, as it is now; {} before it has begun."""
-    done = subprocess.run([XAUTO, "top", "--run", f"{tool.pid}-0", "--wait-s", str(wait_s), "--interval-ms", "50", "--once",
+    done = subprocess.run([XAUTO, "top", "--run", f"{tool.pid}-0", "--wait", f"{wait_s}s", "--interval", "50ms", "--once",
                            "--json", *map(str, options)], timeout=120, capture_output=True, text=True, preexec_fn=without_bpf)
     return json.loads(done.stdout)["runs"][0] if done.stdout else {}
 

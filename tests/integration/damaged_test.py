@@ -73,7 +73,7 @@ class Damaged(Runs):
         self.assertIn("after message 5: 53.9 years without a message, from 1970-01-01 00:00:30.400", told.stderr)
         self.assertEqual(len(json.loads(xauto("recording", "info", path, "--json").stdout)["gaps"]), 1)
         flags = ["--input", path, "--rate", "10", *self.deploy(**QUEUES)]
-        run, _ = self.run_app(*flags, "--max-gap", "0.2", activations=0)
+        run, _ = self.run_app(*flags, "--max-gap", "0.2s", activations=0)
         self.assertEqual((run["activations"], run["lost_activations"]), (15, 0))
         self.assertTrue(any("53.9 years" in note for note in run["notes"]), run["notes"])
         # Without it the run waits, and says for what.
@@ -83,7 +83,7 @@ class Damaged(Runs):
             tool.send_signal(signal.SIGINT)
             tool.wait(timeout=60)
         self.assertIn("--max-gap", pathlib.Path(self.path("err")).read_text())
-        for refused in (["--max-gap", "1"], ["--input", path, "--rate", "2", "--lockstep"], ["--input", path, "--max-gap", "1", "--period-us", "500"]):
+        for refused in (["--max-gap", "1s"], ["--input", path, "--rate", "2", "--lockstep"], ["--input", path, "--max-gap", "1s", "--period", "500us"]):
             done = subprocess.run(self.command(*refused), capture_output=True, text=True)
             self.assertEqual(done.returncode, 2, done.stderr)
 

@@ -230,7 +230,7 @@ class FedByKeys(Peers):
         of_keys = json.loads(app.read_text())
         if of_keys["sources"] != (sources := [{"name": "src", "period_us": cls.PERIOD_US, "jitter_us": cls.JITTER_US}]):
             app.write_text(json.dumps({**of_keys, "sources": sources}))
-            done = xauto("solve", "--app", app, "--platform", cls.path("platform.json"), "--time-limit-s", 10,
+            done = xauto("solve", "--app", app, "--platform", cls.path("platform.json"), "--time-limit", "10s",
                          "--max-evaluations", 200, "--out", policy)
             assert done.returncode == 0, done.stderr
         return flags

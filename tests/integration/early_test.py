@@ -39,7 +39,7 @@ class Early(unittest.TestCase):
                                        {"name": "lidar", **source, "offset_us": lidar_offset_us}],
                            "xnodes": [{"name": f"{n}.run", "module": f"{n}M", "source": n, "wcet_us": {"gpu": us}}
                                       for n, us in (("camera", 3500), ("lidar", 8500))]})
-        done = self.tool("solve", "--max-evaluations", 300, "--threads", 1, "--time-limit-s", 60,
+        done = self.tool("solve", "--max-evaluations", 300, "--threads", 1, "--time-limit", "60s",
                          "--out", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         policy = json.loads((self.folder / "policy.json").read_text())
@@ -54,7 +54,7 @@ class Early(unittest.TestCase):
         done = self.tool("check", "--policy", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         done = self.tool("run", "--policy", self.folder / "policy.json", "--emulate", "--json", "--deployment",
-                         self.folder / "queues.json", "--seconds", 3, "--trace-out", self.folder / "t.pftrace", *flags,
+                         self.folder / "queues.json", "--duration", "3s", "--trace-out", self.folder / "t.pftrace", *flags,
                          "--", BIN / "urgentapp", "1000000", *polled)
         self.assertEqual(done.returncode, 0, done.stderr)
         trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())

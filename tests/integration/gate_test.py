@@ -102,7 +102,7 @@ class Gate(unittest.TestCase):
 
     def rates(self):
         app, policy = SOURCE / "examples/driving/rates.json", f"{self.folder}/s.json"
-        made = xauto("solve", "--app", app, "--platform", "small", "--time-limit-s", "1", "--out", policy)
+        made = xauto("solve", "--app", app, "--platform", "small", "--time-limit", "1s", "--out", policy)
         self.assertEqual(made.returncode, 0, made.stderr)
         return app, policy
 
@@ -113,7 +113,7 @@ class Gate(unittest.TestCase):
 
         def solved():
             pathlib.Path(app).write_text(json.dumps(spec))
-            made = xauto("solve", "--app", app, "--platform", "small", "--time-limit-s", "2", "--out", policy)
+            made = xauto("solve", "--app", app, "--platform", "small", "--time-limit", "2s", "--out", policy)
             self.assertEqual(made.returncode, 0, made.stderr)
 
         for of_clock, status in (10, 1), (100, 0):  # percent
@@ -123,7 +123,7 @@ class Gate(unittest.TestCase):
             solved()
             steps = [{"at_us": 0, "speed_pct": {"gpu": of_clock, "cpu": of_clock, "dla": of_clock}}]
             pathlib.Path(script).write_text(json.dumps({"schema": "xauto.emulation", "version": 1, "steps": steps}))
-            done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--seconds", "1",
+            done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--duration", "1s",
                          "--emulate-script", script, "--fail-on", "miss", "--json", "--", BIN / "driving-rates")
             run = json.loads(done.stdout)["runs"][0]
             missed = {c["name"]: c["deadline_misses"] for c in run["chains"] if c["deadline_misses"] > 0}
@@ -134,7 +134,7 @@ class Gate(unittest.TestCase):
         for chain in spec["chains"]:
             del chain["deadline_us"]
         solved()
-        done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--seconds", "1",
+        done = xauto("run", "--app", app, "--platform", "small", "--policy", policy, "--emulate", "--duration", "1s",
                      "--fail-on", "miss", "--", BIN / "driving-rates")
         self.assertEqual(done.returncode, 2, done.stderr)
         self.assertIn("nothing has a deadline", done.stderr)
@@ -178,12 +178,12 @@ class Gate(unittest.TestCase):
         hardware["name"] = "another"
         with open(platform, "w") as f:
             json.dump(hardware, f)
-        done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
+        done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--duration", "1s",
                      "--", BIN / "driving-rates")
         self.assertEqual((done.returncode, done.stdout), (2, ""))
         self.assertIn("was made for platform 'small', and this run is on 'another'", done.stderr)
         # Without --platform it is the policy's.
-        done = xauto("run", "--app", app, "--policy", policy, "--emulate", "--seconds", "1", "--json", "--", BIN / "driving-rates")
+        done = xauto("run", "--app", app, "--policy", policy, "--emulate", "--duration", "1s", "--json", "--", BIN / "driving-rates")
         self.assertEqual((done.returncode, json.loads(done.stdout)["platform"]), (0, "small"), done.stderr)
         with open(policy) as f:
             elsewhere = {**json.load(f), "platform": "another"}
@@ -198,7 +198,7 @@ class Gate(unittest.TestCase):
         hardware["name"] = "small"  # it says it is the same, and is not
         with open(platform, "w") as f:
             json.dump(hardware, f)
-        done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
+        done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--duration", "1s",
                      "--json", "--", BIN / "driving-rates")
         self.assertIn("`xauto check` refuses it here", done.stderr)
         self.assertIn("`xauto check` refuses the policy",

@@ -44,7 +44,7 @@ class Graph(unittest.TestCase):
             self.assertIn(rate, text)
 
     def test_with_a_policy_each_xnode_stands_on_its_xpu(self):
-        done = xauto("solve", "--app", APP, "--platform", "small", "--max-evaluations", 300, "--threads", 1, "--time-limit-s", 60,
+        done = xauto("solve", "--app", APP, "--platform", "small", "--max-evaluations", 300, "--threads", 1, "--time-limit", "60s",
                      "--out", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stderr)
         svg, dot = self.draw(APP, "--policy", self.folder / "policy.json")

@@ -84,7 +84,7 @@ class Pipelined(Case):
     @classmethod
     def solve(cls):
         return xauto("solve", "--app", cls.path("pipelined.json"), "--platform", "small", "--max-evaluations", 3000,
-                     "--threads", 1, "--time-limit-s", 60, "--out", cls.path("pipelined.policy.json"))
+                     "--threads", 1, "--time-limit", "60s", "--out", cls.path("pipelined.policy.json"))
 
     def run_pipelined(self, *flags, status=0, room=ROOM):
         done = xauto("run", "--app", self.path("pipelined.json"), "--platform", "small", "--policy",
@@ -97,7 +97,7 @@ class Pipelined(Case):
         deploy = self.path("pipelined.deployment.json")
         pathlib.Path(deploy).write_text(json.dumps({"schema": "xauto.deployment", "version": 1, "app": "driving-pipelined", **QUEUES}))
         for flags in ([], ["--isolate"]):
-            run = self.run_pipelined("--seconds", 3, "--deployment", deploy, "--trace-out", self.path("t.pftrace"), *flags)
+            run = self.run_pipelined("--duration", "3s", "--deployment", deploy, "--trace-out", self.path("t.pftrace"), *flags)
             self.assertEqual([m["dropped"] + m["failed"] for m in run["modules"]], [0] * 8)
             trace = pftrace.Trace(pathlib.Path(self.path("t.pftrace")).read_bytes())
             module_of = {x["name"]: x["module"] for x in self.app["xnodes"]}
@@ -128,7 +128,7 @@ class Pipelined(Case):
         deploy = self.path("pipelined.deployment.json")
         pathlib.Path(deploy).write_text(json.dumps({"schema": "xauto.deployment", "version": 1, "app": "driving-pipelined", **QUEUES}))
         done = xauto("run", "--app", self.path("pipelined.json"), "--platform", "small", "--policy",
-                     self.path("pipelined.policy.json"), "--deployment", deploy, "--emulate", "--json", "--seconds", 4, "--",
+                     self.path("pipelined.policy.json"), "--deployment", deploy, "--emulate", "--json", "--duration", "4s", "--",
                      BIN / "pipelined", self.PERIOD_US, self.ROOM, "pushed", *driver)
         return json.loads(done.stdout)["runs"][0]
 
@@ -164,7 +164,7 @@ class Pipelined(Case):
         self.assertRegex(" ".join(run["claims"]["broken"]), "source 'camera/front' was up to [0-9]+ us off its grid")
 
     def test_a_program_with_less_room_is_refused(self):
-        text = self.run_pipelined("--seconds", 1, status=2, room=2)
+        text = self.run_pipelined("--duration", "1s", status=2, room=2)
         self.assertIn("has max_in_flight 3; the program allows 2", text)
         self.assertIn("XModule::in_flight(3)", text)
 

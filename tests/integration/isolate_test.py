@@ -40,7 +40,7 @@ class Case(unittest.TestCase):
                 "xnodes": [{"name": n, "module": m, "wcet_us": {x: 200}} for n, m, x in XNODES],
                 "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}, "src", period)))
             done = xauto("solve", "--app", app, "--platform", cls.path("platform.json"), "--max-evaluations", 200,
-                         "--time-limit-s", 2, "--out", policy)
+                         "--time-limit", "2s", "--out", policy)
             assert os.path.exists(policy), done.stderr
             # By priorities: nobody waits for another module's job but for its message.
             made = json.loads(pathlib.Path(policy).read_text())

@@ -33,7 +33,7 @@ class KeyTables(unittest.TestCase):
         cls.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": cls.app["name"], **QUEUES})
         cls.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": cls.app["name"], "scenarios": SCENARIOS})
         done = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 2,
-                     "--time-limit-s", 3, "--out", "tables.json", "--json", cwd=cls.folder)
+                     "--time-limit", "3s", "--out", "tables.json", "--json", cwd=cls.folder)
         assert done.returncode in (0, 1), done.stdout + done.stderr  # 1: a change may miss a deadline
         cls.tables = json.loads((cls.folder / "tables.json").read_text())
         cls.xpus = [{x["name"]: x["xpu"] for x in t["xnodes"]} for t in cls.tables["tables"]]
@@ -66,7 +66,7 @@ class KeyTables(unittest.TestCase):
                                      "t.pftrace", *flags, "--",
                                      str(BIN / "driving-rates")], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
-        run = ("--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
+        run = ("--run", f"{tool.pid}-0", "--wait", "10s", "--json")
         released = lambda: top(tool).get("releases", 0)
         wait_for("releases", lambda: released() > 20, tool)
         for name in ["GPU at half", "CPUs slow", "nominal", "GPU at half", "nominal"]:

@@ -35,7 +35,7 @@ class Keys(unittest.TestCase):
         cls.folder = pathlib.Path(folder.name)
         cls.app = json.loads(APP.read_text())
         done = xauto("solve", "--app", APP, "--platform", "small", "--max-evaluations", 3000, "--threads", 1,
-                     "--time-limit-s", 60, "--out", cls.folder / "policy.json")
+                     "--time-limit", "60s", "--out", cls.folder / "policy.json")
         assert done.returncode == 0, done.stdout + done.stderr
         cls.policy = json.loads((cls.folder / "policy.json").read_text())
         # A machine that stands still loses nothing.
@@ -158,13 +158,13 @@ class Keys(unittest.TestCase):
 
     def test_no_job_goes_before_one_of_a_smaller_key_that_waits(self):
         for policy, flags in ((self.policy, ()), (self.mixed_policy(), ("--policy", self.folder / "mixed.json"))):
-            pairs, wrong = self.inversions(self.began(policy, "--seconds", 4, *flags))
+            pairs, wrong = self.inversions(self.began(policy, "--duration", "4s", *flags))
             # A job is ready before its thread has asked for the XPU. Where the machine stands still in between, the pair looks
             # wrong; each stall makes a few. Without an order half of all would be.
             self.assertLess(wrong, max(8, pairs / 5), f"{wrong} of {pairs}")
 
     def test_what_goes_first_changes_with_the_activation(self):
-        jobs = self.began(self.mixed_policy(), "--seconds", 4, "--policy", self.folder / "mixed.json")
+        jobs = self.began(self.mixed_policy(), "--duration", "4s", "--policy", self.folder / "mixed.json")
         ready = {(name, n): at for _, at, _, name, n in jobs["run/cpu0"]}
         # Both are released at one instant; whoever is there first is suspended for a smaller key. After the machine stood
         # still, one of the modules may be at its last activation yet: then they did not meet.
@@ -184,11 +184,11 @@ class Keys(unittest.TestCase):
         paths = [self.folder / f"slack-{name}.json" for name in ("app", "policy")]
         paths[0].write_text(json.dumps(app))
         done = xauto("solve", "--app", paths[0], "--platform", "small", "--max-evaluations", 3000, "--threads", 1,
-                     "--time-limit-s", 60, "--out", paths[1])
+                     "--time-limit", "60s", "--out", paths[1])
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         policy = json.loads(paths[1].read_text())
         self.assertTrue([row for row in policy["xnodes"] if row.get("hold_us")], "nothing is held")
-        self.began(policy, "--seconds", 4, "--policy", paths[1], app=paths[0])
+        self.began(policy, "--duration", "4s", "--policy", paths[1], app=paths[0])
         self.assertGreater(len(self.early), 20, "assert_early has judged nothing")
 
     def stages(self, module):
@@ -196,7 +196,7 @@ class Keys(unittest.TestCase):
 
     def test_each_chain_stands_beside_its_claim(self):
         """Reactions are at least what the chain's own jobs take, and a longer one is never beside an unqualified claim."""
-        report = json.loads(self.run_app("--seconds", 3).stdout)["runs"][0]
+        report = json.loads(self.run_app("--duration", "3s").stdout)["runs"][0]
         claims = {c["name"]: c for c in self.policy["chains"]}
         self.assertEqual([c["name"] for c in report["chains"]], list(claims))
         for chain in report["chains"]:
@@ -223,10 +223,10 @@ class Keys(unittest.TestCase):
         crowded, policy = self.folder / "crowded.json", self.folder / "crowded.policy.json"
         crowded.write_text(json.dumps(app))
         solved = xauto("solve", "--app", crowded, "--platform", "small", "--max-evaluations", 1000, "--threads", 1,
-                       "--time-limit-s", 60, "--out", policy)
+                       "--time-limit", "60s", "--out", policy)
         self.assertEqual(solved.returncode, 1, solved.stdout + solved.stderr)
         self.assertIs(json.loads(policy.read_text())["certified"], False)
-        done = self.run_app("--policy", policy, "--seconds", 2, app=crowded)
+        done = self.run_app("--policy", policy, "--duration", "2s", app=crowded)
         self.assertIn("nothing is claimed of this run", done.stderr)
         report = json.loads(done.stdout)["runs"][0]
         self.assertIs(report["certified"], False)
@@ -235,7 +235,7 @@ class Keys(unittest.TestCase):
         for chain in report["chains"]:
             self.assertGreater(chain["results"], 10, chain)
             self.assertFalse({"worst_case_us", "exceeded"} & set(chain), chain)
-        refused = self.run_app("--policy", policy, "--seconds", 1, "--fail-on", "claim", app=crowded, status=2)
+        refused = self.run_app("--policy", policy, "--duration", "1s", "--fail-on", "claim", app=crowded, status=2)
         self.assertIn("nothing is claimed: the policy is not certified", refused.stderr)
 
     def test_in_lockstep_the_time_between_releases_is_no_measurement(self):
@@ -262,20 +262,20 @@ class Keys(unittest.TestCase):
             self.assertTrue([n for n in run["notes"] if "means nothing in lockstep" in n], run["notes"])
 
     def test_isolated_modules_follow_the_same_keys(self):
-        report = json.loads(self.run_app("--seconds", 2, "--isolate").stdout)["runs"][0]
+        report = json.loads(self.run_app("--duration", "2s", "--isolate").stdout)["runs"][0]
         self.assertEqual([m["dropped"] + m["failed"] for m in report["modules"]], [0] * 9)
         for chain in report["chains"]:
             self.assertGreater(chain["results"], 10, chain)
 
     def test_refuses_what_would_not_be_the_plan(self):
-        done = self.run_app("--period-us", 50_000, status=2)
+        done = self.run_app("--period", "50ms", status=2)
         self.assertIn("would change what the policy was made for", done.stderr)
         app = json.loads(json.dumps(self.app))
         for module in app["modules"]:
             module["max_in_flight"] = 2
         (self.folder / "wide.json").write_text(json.dumps(app))
         done = xauto("solve", "--app", self.folder / "wide.json", "--platform", "small", "--max-evaluations", 500, "--threads", 1,
-                     "--time-limit-s", 60, "--out", self.folder / "wide.policy.json")
+                     "--time-limit", "60s", "--out", self.folder / "wide.policy.json")
         self.assertEqual(done.returncode, 0, done.stderr)
         done = self.run_app("--policy", self.folder / "wide.policy.json", app=self.folder / "wide.json", status=2)
         self.assertIn("has max_in_flight 2", done.stderr)
@@ -297,7 +297,7 @@ class Keys(unittest.TestCase):
         paths["app"].write_text(json.dumps(app))
         paths["platform"].write_text(json.dumps(platform))
         done = xauto("solve", "--app", paths["app"], "--platform", paths["platform"], "--max-evaluations", 200, "--threads", 1,
-                     "--time-limit-s", 60, "--out", paths["policy"])
+                     "--time-limit", "60s", "--out", paths["policy"])
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         policy = json.loads(paths["policy"].read_text())
         keys = {"long.run": [40000, 40000], "short.run": [10000, 48000], "slow.run": [90000]}
@@ -307,7 +307,7 @@ class Keys(unittest.TestCase):
             row["key_us"] = keys[row["name"]]
         paths["policy"].write_text(json.dumps(policy))
         done = xauto("run", "--app", paths["app"], "--platform", paths["platform"], "--policy", paths["policy"], "--real",
-                     "--seconds", 4, "--json", "--trace-out", self.folder / "core.pftrace", "--", BIN / "keysapp")
+                     "--duration", "4s", "--json", "--trace-out", self.folder / "core.pftrace", "--", BIN / "keysapp")
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(json.loads(done.stdout)["runs"][0]["real_cpus"], "SCHED_FIFO, told by coordinators")
         trace = pftrace.Trace((self.folder / "core.pftrace").read_bytes())

@@ -74,16 +74,16 @@ class ByTheMachine:
         return {m["name"]: m.get("off", 0) for m in report["modules"]}
 
     def test_at_full_clock_all_hold_and_nothing_is_off(self):
-        report, _ = self.run_at(1000, "--seconds", 2)
+        report, _ = self.run_at(1000, "--duration", "2s")
         # Others may count for jobs that this machine makes longer.
         self.assertEqual([s for s in report["switches"] if s["why"] == "machine"], [])
         if report["switches"] == []:
             self.assertEqual(set(self.off(report).values()), {0})
-        report, _ = self.run_at(250, "--seconds", 1)
+        report, _ = self.run_at(250, "--duration", "1s")
         self.assertEqual([s["to"] for s in report["switches"] if s["why"] == "machine"], ["slowest"])
 
     def test_a_clock_below_all_is_named_with_the_limit_and_loses_most(self):
-        report, err = self.run_at(100, "--seconds", 1)
+        report, err = self.run_at(100, "--duration", "1s")
         self.assertEqual([s["to"] for s in report["switches"] if s["why"] == "machine"], ["slowest"])
         self.assertGreater(self.off(report)["log"], 0)
         self.assertGreater(self.off(report)["show"], 0)
@@ -92,7 +92,7 @@ class ByTheMachine:
         self.assertIn(words, str(report["claims"]["broken"]))
 
     def test_a_job_outside_of_every_scenario_loses_most(self):
-        report, err = self.run_at(None, "--seconds", 3, script=[{"at_us": 600_000, "speed_pct": {"cpu": 4}}])
+        report, err = self.run_at(None, "--duration", "3s", script=[{"at_us": 600_000, "speed_pct": {"cpu": 4}}])
         outside = [s["to"] for s in report["switches"] if s["why"] == "outside"]
         self.assertEqual(set(outside), {"slowest"}, report["switches"])
         self.assertGreater(self.off(report)["log"], 0)
@@ -122,7 +122,7 @@ class Loss(ByTheMachine, unittest.TestCase):
         cls.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "lossapp", "scenarios": SCENARIOS})
         cls.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "lossapp", **QUEUES})
         cls.solved = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
-                           "--time-limit-s", 4, "--out", "tables.json", cwd=cls.folder)
+                           "--time-limit", "4s", "--out", "tables.json", cwd=cls.folder)
         cls.tables = json.loads((cls.folder / "tables.json").read_text())
         cls.serves = {s["scenario"]: next(t for t in cls.tables["tables"] if t["name"] == s["table"]) for s in cls.tables["serves"]}
 
@@ -184,7 +184,7 @@ class Loss(ByTheMachine, unittest.TestCase):
             variant["name"] = "no_" + variant["name"]
         self.write("renamed.json", app)
         done = xauto("solve", "--app", "renamed.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
-                     "--time-limit-s", 2, "--out", "renamed_tables.json", cwd=self.folder)
+                     "--time-limit", "2s", "--out", "renamed_tables.json", cwd=self.folder)
         self.assertEqual(done.returncode, 1, done.stderr)
         done = xauto("run", "--app", "renamed.json", "--platform", "small", "--emulate", "--policy", "renamed_tables.json",
                      "--activations", 5, "--", LOSSAPP, cwd=self.folder)
@@ -275,7 +275,7 @@ class LossByKeys(ByTheMachine, unittest.TestCase):
             for name, pct in cls.SLOWER.items()]})
         cls.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "lossapp", **QUEUES})
         cls.solved = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
-                           "--time-limit-s", 6, "--out", "tables.json", cwd=cls.folder)
+                           "--time-limit", "6s", "--out", "tables.json", cwd=cls.folder)
         assert cls.solved.returncode in (0, 1), cls.solved.stderr  # 1: a change may miss a deadline
         cls.tables = json.loads((cls.folder / "tables.json").read_text())
         cls.serves = {s["scenario"]: next(t for t in cls.tables["tables"] if t["name"] == s["table"]) for s in cls.tables["serves"]}
@@ -302,7 +302,7 @@ class LossByKeys(ByTheMachine, unittest.TestCase):
                  "--activations", "0", "--deployment", "deployment.json", "--json", *flags, "--", LOSSAPP,
                  str(self.folder / "ran"), "rates"], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
-        run = ("--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
+        run = ("--run", f"{tool.pid}-0", "--wait", "10s", "--json")
         released = lambda: top(tool).get("releases", 0)
         wait_for("releases", lambda: released() > 10, tool)
         asked = ["slower", "slowest", "nominal", "slowest", "slow", "slower"]

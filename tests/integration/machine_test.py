@@ -33,7 +33,7 @@ class Machine(unittest.TestCase):
     def run_app(self, *app, seconds=2, before=()):
         """The run of report.json, and what was printed."""
         out = os.path.join(self.folder, "report.json")
-        run = ["run", *testapp_files(self.folder), "--seconds", str(seconds), "--out", out, "--", TESTAPP,
+        run = ["run", *testapp_files(self.folder), "--duration", f"{seconds}s", "--out", out, "--", TESTAPP,
                os.path.join(self.folder, "result"), *app, "period", 5000]
         done = xauto(*run) if not before else subprocess.run(
             [*before, *map(str, [os.environ["XAUTO_BIN"] + "/xauto", *run])], capture_output=True, text=True, timeout=100)
@@ -69,7 +69,7 @@ class Machine(unittest.TestCase):
         """Two apps, each with claims of its own: neither stands, whoever came first. Emulated XPUs are nobody else's."""
         second = os.path.join(self.folder, "second")
         os.mkdir(second)
-        other = subprocess.Popen([os.environ["XAUTO_BIN"] + "/xauto", "run", *map(str, testapp_files(second)), "--seconds", "6", "--out",
+        other = subprocess.Popen([os.environ["XAUTO_BIN"] + "/xauto", "run", *map(str, testapp_files(second)), "--duration", "6s", "--out",
                                   second + "/report.json", "--", str(TESTAPP), second + "/result", "period", "5000"],
                                  stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         self.addCleanup(other.kill)

@@ -62,10 +62,10 @@ class Monitored(unittest.TestCase):
         return json.loads((self.folder / "report.json").read_text())["runs"][0]
 
     def monitor(self, *flags, **keywords):
-        return self.start([XAUTO, "monitor", "--interval-ms", 50, *flags], **keywords)
+        return self.start([XAUTO, "monitor", "--interval", "50ms", *flags], **keywords)
 
     def once(self, tool, *flags):
-        done = xauto("monitor", "--run", f"{tool.pid}-0", "--wait-s", 30, "--interval-ms", 100, *flags)
+        done = xauto("monitor", "--run", f"{tool.pid}-0", "--wait", "30s", "--interval", "100ms", *flags)
         self.assertEqual(done.returncode, 0, done.stderr)
         return done.stdout
 
@@ -211,7 +211,7 @@ class Prometheus(Monitored):
         return path
 
     def test_chains_of_a_policy_of_keys(self):
-        done = xauto("solve", "--app", RATES, "--platform", "small", "--max-evaluations", 3000, "--threads", 1, "--time-limit-s", 60,
+        done = xauto("solve", "--app", RATES, "--platform", "small", "--max-evaluations", 3000, "--threads", 1, "--time-limit", "60s",
                      "--out", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stderr)
         claims = {c["name"]: c for c in json.loads((self.folder / "policy.json").read_text())["chains"]}
@@ -242,7 +242,7 @@ class Prometheus(Monitored):
         scenarios = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}}]
         (self.folder / "app.json").write_text(json.dumps(app))
         (self.folder / "scenarios.json").write_text(json.dumps({"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": scenarios}))
-        done = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 2, "--time-limit-s", 4,
+        done = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 2, "--time-limit", "4s",
                      "--out", "tables.json", cwd=self.folder)
         self.assertIn(done.returncode, (0, 1), done.stderr)
         tables = json.loads((self.folder / "tables.json").read_text())
@@ -260,7 +260,7 @@ class Prometheus(Monitored):
             if value_of(seen, "xauto_claim_stands"):
                 self.assertEqual(value_of(seen, "xauto_chain_worst_case_seconds", chain=chain), max(claims) / 1e6)
         other = self.run_tool("--app", APP, "--platform", "small", "--emulate", "--policy",
-                              self.driving_policy("--max-evaluations", 500, "--time-limit-s", 60), program=[DRIVING])
+                              self.driving_policy("--max-evaluations", 500, "--time-limit", "60s"), program=[DRIVING])
         wait_for("releases of another app", lambda: (value_of(self.metrics(other), "xauto_releases_total") or 0) > 5, other)
         self.board_asks_for_what_there_is(seen, self.metrics(other))
         page = set(re.findall(r"`(xauto_\w+)`", PAGE.read_text()))
@@ -277,7 +277,7 @@ class Prometheus(Monitored):
         scenarios = {"schema": "xauto.scenarios", "version": 1, "app": "testapp", "scenarios": [{"name": "nominal"}]}
         (self.folder / "scenarios.json").write_text(json.dumps(scenarios))
         done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--scenarios", "scenarios.json", "--tables", 1,
-                     "--time-limit-s", 2, "--out", "policy.json", cwd=self.folder)
+                     "--time-limit", "2s", "--out", "policy.json", cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
         tool = self.run_tool(*arguments, "--emulate", program=[TESTAPP, self.folder / "result", "period", "100000", "emulated", "3000"])
         wait_for("overruns", lambda: value_of(self.metrics(tool), "xauto_assumption_violations_total", kind="wcet_overrun"), tool)
@@ -365,11 +365,11 @@ class Outputs(Monitored):
 
     def test_a_monitor_of_one_run_ends_with_it(self):
         tool = self.start_testapp(period_us=20_000)
-        monitor = self.monitor("--run", f"{tool.pid}-0", "--wait-s", 30, "--metrics-file", self.folder / "one.prom")
+        monitor = self.monitor("--run", f"{tool.pid}-0", "--wait", "30s", "--metrics-file", self.folder / "one.prom")
         wait_for("the file", (self.folder / "one.prom").exists, monitor)
         self.end(tool)
         self.assertEqual(monitor.wait(timeout=60), 0)
-        done = xauto("monitor", "--run", "1-99", "--wait-s", 0)
+        done = xauto("monitor", "--run", "1-99", "--wait", "0s")
         self.assertEqual(done.returncode, 2)
         self.assertIn("no run '1-99' is going on", done.stderr)
 
@@ -398,7 +398,7 @@ class Diagnostics(Monitored):
 
     def test_a_reader_of_ros_2s_type_sees_each_chain_and_the_end_of_the_run(self):
         tool = self.start_testapp(period_us=200_000, deadline_us=3_600_000_000)
-        monitor = self.monitor("--diagnostics", "--run", f"{tool.pid}-0", "--wait-s", 30)  # other tests have runs, too
+        monitor = self.monitor("--diagnostics", "--run", f"{tool.pid}-0", "--wait", "30s")  # other tests have runs, too
         chain, claims = "xauto/testapp: chain src -> c1", "xauto/testapp: worst cases"
         wait_for("a result", lambda: self.status(chain)["level"] == 0, monitor)
         array = next(a for a in reversed(self.arrays) if a != "ready")
@@ -416,7 +416,7 @@ class Diagnostics(Monitored):
 
     def test_deadlines_are_errors_and_a_monitor_that_ends_says_so(self):
         tool = self.start_testapp(period_us=50_000, deadline_us=1)
-        monitor = self.monitor("--diagnostics", "--run", f"{tool.pid}-0", "--wait-s", 30)
+        monitor = self.monitor("--diagnostics", "--run", f"{tool.pid}-0", "--wait", "30s")
         chain = "xauto/testapp: chain src -> c1"
         late = "later than the deadline of 0.001 ms"
 

@@ -71,7 +71,7 @@ class Params(unittest.TestCase):
         return (self.lines(topic) or [""])[-1]
 
     def param(self, action, *words, status=0):
-        done = xauto("param", action, *words, "--run", self.run_id, "--wait-s", 30)
+        done = xauto("param", action, *words, "--run", self.run_id, "--wait", "30s")
         self.assertEqual(done.returncode, status, done.stdout + done.stderr)
         return done.stdout if status == 0 else done.stderr
 

@@ -33,7 +33,7 @@ class Pedestrians(unittest.TestCase):
                 if len(xnode["wcet_us"]) == 2:
                     xnode["wcet_us"][faster] = 1
             pathlib.Path(path("one.json")).write_text(json.dumps(app))
-            for step in (["solve", "--time-limit-s", 1, "--out", path("policy.json")],
+            for step in (["solve", "--time-limit", "1s", "--out", path("policy.json")],
                          ["run", "--real", "--lockstep", "--activations", 60, "--policy", path("policy.json")]):
                 tail = ["--", *command] if step[0] == "run" else []
                 done = xauto(step[0], "--app", path("one.json"), "--platform", PLATFORM, *step[1:], *tail)

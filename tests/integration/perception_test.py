@@ -32,7 +32,7 @@ class Perception(unittest.TestCase):
         command = [BIN / "perception", VIDEO, ONNX / "nets", self.folder.name, faces, lines]
         tail = ["--platform", PLATFORM]
         for step in (["profile", "--real", *tail, "--warmup", 1, "--repetitions", 2, "--app-out", self.path("app.json"), "--", *command],
-                     ["solve", "--app", self.path("app.json"), *tail, "--time-limit-s", 1, "--out", self.path("policy.json")],
+                     ["solve", "--app", self.path("app.json"), *tail, "--time-limit", "1s", "--out", self.path("policy.json")],
                      ["run", "--real", "--lockstep", "--activations", 26, "--app", self.path("app.json"), *tail,
                       "--policy", self.path("policy.json"), "--", *command]):
             done = xauto(*step)

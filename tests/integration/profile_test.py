@@ -240,7 +240,7 @@ class Memory(Case):
         (self.folder / "scenarios.json").write_text(json.dumps(
             {"schema": "xauto.scenarios", "version": 1, "app": "stages", "scenarios": [{"name": "nominal"}]}))
         words = ("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 1,
-                 "--time-limit-s", 1)
+                 "--time-limit", "1s")
         return self.good(*words).stdout, json.loads(self.good(*words, "--json").stdout)
 
 
@@ -272,15 +272,22 @@ class EndsEarly(Case):
 
     def test_an_exec_that_hangs_is_named_and_the_rest_kept(self):
         last = f"cpu{len(CORES) - 1}"
-        done = self.profile("small", "--exec-limit-s", 1, status=1, app=(STAGES, "/dev/null", "hang", "9", last))
+        done = self.profile("small", "--exec-limit", "1s", status=1, app=(STAGES, "/dev/null", "hang", "9", last))
         self.assertIn(f"exec of XNode 'm.work' on {last} did not return within 1 s", done.stderr)
         self.assertEqual(self.on("m.infer")["gpu0"]["count"], 5)
         self.assertFalse((self.folder / "app.json").exists(), "of an incomplete profile none is written")
         done = xauto("profile", "--platform", "small", "--read", "profile.json", "--app-out", "app.json", cwd=self.folder)
         self.assertTrue((self.folder / "app.json").exists(), f"each XNode was measured somewhere, and it was asked for: {done.stderr}")
+        why = self.read("profile.json")["incomplete"]
+        self.assertEqual(self.read("app.json")["incomplete"], why)
+        files = ("--app", "app.json", "--platform", "small")
+        for words in (("solve", *files, "--time-limit", "1s", "--out", "policy.json"), ("check", *files, "--policy", "policy.json"),
+                      ("run", *files, "--policy", "policy.json", "--emulate", "--activations", 2, "--", STAGES, "/dev/null")):
+            said = xauto(*words, cwd=self.folder).stderr
+            self.assertEqual(said.count(f"app.json: its WCETs are of an incomplete profile: {why}\n"), 1, f"{words}: {said}")
 
     def test_an_xnode_without_a_time_makes_no_app(self):
-        done = self.profile("small", "--exec-limit-s", 1, status=1, app=(STAGES, "/dev/null", "hang", "1", "cpu0"))
+        done = self.profile("small", "--exec-limit", "1s", status=1, app=(STAGES, "/dev/null", "hang", "1", "cpu0"))
         self.assertIn("m.work", done.stderr)
         self.assertFalse((self.folder / "app.json").exists())
         self.assertNotIn("m.work", [x["name"] for x in self.read("profile.json")["xnodes"] if x["on"]])

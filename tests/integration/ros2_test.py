@@ -33,7 +33,7 @@ class Ros2(unittest.TestCase):
                               ("statistics.callback", "statistics", "statistics/ready")})
             self.assertEqual({s["name"]: s["period_us"] for s in app["sources"]},
                              {"detect/ready": 9000, "statistics/ready": 90000})
-            tool("solve", "--app", "app.json", "--platform", "platform.json", "--time-limit-s", "1", "--out", "policy.json")
+            tool("solve", "--app", "app.json", "--platform", "platform.json", "--time-limit", "1s", "--out", "policy.json")
             done = tool("run", "--app", "app.json", "--platform", "platform.json", "--policy", "policy.json", "--cpu-sched",
                         "other", "--activations", "10", "--trace-out", "t.pftrace", "--json", "--", GATE)
             run = json.loads(done.stdout)["runs"][0]

@@ -93,7 +93,7 @@ class Soak(Case):
         write("rates-deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "ratesapp", "queue_depth": 256,
                                         "keep": 256})
         solved = xauto("solve", "--app", self.path("rates.json"), "--platform", "small", "--max-evaluations", 500,
-                       "--time-limit-s", 60, "--out", self.path("keys.json"))
+                       "--time-limit", "60s", "--out", self.path("keys.json"))
         self.assertEqual(solved.returncode, 0, solved.stderr)
         return [XAUTO, "run", "--app", self.path("rates.json"), "--policy", self.path("keys.json"), "--platform",
                 "small", "--deployment", self.path("rates-deployment.json"), "--emulate", "--isolate", "--json",

@@ -92,17 +92,17 @@ class Solve(unittest.TestCase):
                 {"name": "spiky", "module": "m", "source": "s", "wcet_us": {"cpu": 32000}, "typical_us": {"cpu": 600}},
                 {"name": "calm", "module": "n", "source": "s", "wcet_us": {"cpu": 900}, "typical_us": {"cpu": 500}}]}))
             done = xauto("solve", "--app", app, "--platform", "small", "--scenarios", scenarios, "--tables", 2,
-                         "--time-limit-s", 2)
+                         "--time-limit", "2s")
             self.assertEqual(done.returncode, code, done.stdout + done.stderr)
             self.assertEqual("usually 0.600 ms" in done.stdout + done.stderr, named != [], done.stdout + done.stderr)
             if named is not None:
                 told = json.loads(xauto("solve", "--app", app, "--platform", "small", "--scenarios", scenarios, "--tables",
-                                        2, "--time-limit-s", 2, "--json").stdout)
+                                        2, "--time-limit", "2s", "--json").stdout)
                 self.assertEqual([r["xnode"] for r in told.get("rare_wcets", [])], named)
 
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
         app = self.app(40, 5)  # not proven within half a minute
-        code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600,
+        code, out, err, policy, memory = self.solve(app, "--time-limit", "600s",
                                                     interrupt_when=lambda err: err.count("best ") >= 2)
         self.assertEqual(code, 0, err)
         self.assertIn("interrupted: best so far", out)
@@ -117,7 +117,7 @@ class Solve(unittest.TestCase):
 
     def test_40_xnodes_to_the_time_limit_stay_small(self):
         app = self.app(40)
-        code, _, err, _, memory = self.solve(app, "--time-limit-s", 2, "--threads", 4)
+        code, _, err, _, memory = self.solve(app, "--time-limit", "2s", "--threads", 4)
         self.assertEqual(code, 0, err)
         self.assertLess(memory, MOST_KIB)
         self.check(app)
@@ -128,7 +128,7 @@ class Solve(unittest.TestCase):
         def within(_):  # its search, which says nothing of itself
             time.sleep(1)
             return True
-        for arguments, interrupt in ((("--time-limit-s", 1), None), (("--time-limit-s", 600), within)):
+        for arguments, interrupt in ((("--time-limit", "1s"), None), (("--time-limit", "600s"), within)):
             app = self.app(14, 20)
             code, _, err, policy, memory = self.solve(app, "--method", "ilp", *arguments, interrupt_when=interrupt)
             self.assertEqual(code, 0, err)
@@ -142,7 +142,7 @@ class Solve(unittest.TestCase):
         spec = json.loads(app.read_text())
         first, second = spec["xnodes"][0]["name"], spec["xnodes"][1]["name"]
         asked = ["--pin", f"{first}=cpu3", "--group", f"{first},{second}"]
-        code, out, err, policy, _ = self.solve(app, "--json", "--time-limit-s", 2, *asked)
+        code, out, err, policy, _ = self.solve(app, "--json", "--time-limit", "2s", *asked)
         self.assertEqual(code, 0, err)
         def checked(*arguments):
             return xauto("check", "--app", app, "--platform", "small", "--policy", self.at / "policy.json", *arguments)
@@ -172,7 +172,7 @@ class Solve(unittest.TestCase):
 
     def test_the_largest_app_keeps_the_time_limit(self):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        code, _, err, policy, _ = self.solve(self.huge(), "--time-limit-s", 5, "--threads", 1)
+        code, _, err, policy, _ = self.solve(self.huge(), "--time-limit", "5s", "--threads", 1)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         self.assertEqual(code, 0, err)
         used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -186,7 +186,7 @@ class Solve(unittest.TestCase):
     def test_ctrl_c_on_the_largest_app_writes_the_best_so_far(self):
         policy = self.at / "policy.json"
         process = subprocess.Popen([XAUTO, "solve", "--app", self.huge(), "--platform", "small", "--threads", "1",
-                                    "--out", policy, "--time-limit-s", "600"],
+                                    "--out", policy, "--time-limit", "600s"],
                                    stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.addCleanup(process.stdout.close)
         self.addCleanup(process.stderr.close)

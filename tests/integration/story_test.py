@@ -82,7 +82,7 @@ class Story(unittest.TestCase):
         cls.folder = pathlib.Path(folder.name)
         cls.app = json.loads(APP.read_text())
         done = xauto("solve", "--app", APP, "--platform", "small", "--max-evaluations", 2000, "--threads", 1,
-                     "--time-limit-s", 60, "--out", cls.folder / "policy.json")
+                     "--time-limit", "60s", "--out", cls.folder / "policy.json")
         assert done.returncode == 0, done.stdout + done.stderr
         cls.policy = json.loads((cls.folder / "policy.json").read_text())
         (cls.folder / "queues.json").write_text(json.dumps(
@@ -95,7 +95,7 @@ class Story(unittest.TestCase):
     @classmethod
     def run_app(cls, *flags):
         done = xauto("run", "--app", APP, "--platform", "small", "--emulate", "--json", "--policy", cls.folder / "policy.json",
-                     "--deployment", cls.folder / "queues.json", "--seconds", 3, *flags, "--", BIN / "driving-rates")
+                     "--deployment", cls.folder / "queues.json", "--duration", "3s", *flags, "--", BIN / "driving-rates")
         assert done.returncode == 0, done.stderr
         return done
 
@@ -251,7 +251,7 @@ class Story(unittest.TestCase):
 
     def test_policies_are_compared_chain_by_chain(self):
         done = xauto("compare", "--app", APP, "--platform", "small", "--emulate", "--deployment", self.folder / "queues.json",
-                     "--seconds", 1.5, "--time-limit-s", 1, "--out", self.folder / "compared", "--", BIN / "driving-rates")
+                     "--duration", "1.5s", "--time-limit", "1s", "--out", self.folder / "compared", "--", BIN / "driving-rates")
         self.assertEqual(done.returncode, 0, done.stderr)
         runs = json.loads((self.folder / "compared/report.json").read_text())["runs"]
         self.assertEqual([r["policy"] for r in runs], ["ros2", "fixed", "xauto"])
@@ -292,7 +292,7 @@ class Story(unittest.TestCase):
             wait_for("results", lambda: activations(tool).get("CTL", 0) > 20, tool)
             run = f"{tool.pid}-0"
             one = top(tool)
-            words = xauto("top", "--run", run, "--once", "--interval-ms", 50).stdout
+            words = xauto("top", "--run", run, "--once", "--interval", "50ms").stdout
             runs, said = json.loads(xauto("top", "--once", "--json").stdout)["runs"], xauto("top", "--once").stdout
         finally:
             tool.terminate()

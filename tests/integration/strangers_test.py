@@ -286,7 +286,7 @@ class Strangers(unittest.TestCase):
         tool = self.start("--isolate")
         self.run_of(tool, "cpu0", "npu0", "live", "desk")
         run = f"{tool.pid}-0"
-        wait_for("the run", lambda: self.ask("top", "--run", run, "--once", "--interval-ms", 50)[0] == 0, tool)
+        wait_for("the run", lambda: self.ask("top", "--run", run, "--once", "--interval", "50ms")[0] == 0, tool)
         fake = self.fakes(tool)
         status, out, err = self.ask("top", "--once")
         self.assertEqual(status, 0, err)
@@ -302,7 +302,7 @@ class Strangers(unittest.TestCase):
         self.assertEqual(runs[run]["user"], pwd.getpwuid(os.geteuid()).pw_name)
         # The only run of this user's is meant, whoever else says to have one. Other tests may run beside this one.
         others = [name for name in runs if not name.startswith(f"{fake}-") and name != run]
-        for words in (["top", "--count", 2, "--interval-ms", 50], ["param"], ["monitor", "--interval-ms", 50]):
+        for words in (["top", "--count", 2, "--interval", "50ms"], ["param"], ["monitor", "--interval", "50ms"]):
             named = words if not others or words[0] == "monitor" else [*words, "--run", run]
             _, out, err = self.ask(*named)
             self.assertNotIn(f" {fake}-", err)

@@ -42,7 +42,7 @@ class Tables(unittest.TestCase):
     def solve(cls, app, out, scenarios):
         cls.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": scenarios})
         done = xauto("solve", "--app", app, "--platform", "small", "--scenarios", "scenarios.json", "--tables", 3,
-                     "--time-limit-s", 4, "--out", out, cwd=cls.folder)
+                     "--time-limit", "4s", "--out", out, cwd=cls.folder)
         assert done.returncode == 0, done.stdout + done.stderr
 
     def start(self, *flags, app="app.json", tables="tables.json"):
@@ -57,7 +57,7 @@ class Tables(unittest.TestCase):
         return tool
 
     def mode(self, *words, status=0):
-        done = xauto("param", "scenario" if words else "list", "--run", self.run_id, "--wait-s", 10, "--json", *words)
+        done = xauto("param", "scenario" if words else "list", "--run", self.run_id, "--wait", "10s", "--json", *words)
         self.assertEqual(done.returncode, status, done.stderr)
         return json.loads(done.stdout) if status == 0 else done.stderr
 
@@ -115,7 +115,7 @@ class Tables(unittest.TestCase):
         return table
 
     def switch_about(self, *flags):
-        self.start("--period-us", "45000", *flags)
+        self.start("--period", "45ms", *flags)
         draw = random.Random(5)
         names = [s["name"] for s in SCENARIOS]
         covering = {"nominal": names, "GPU at 60 %": names[1:3], "GPU at half": names[2:3], "no DLA": names[3:]}
@@ -129,7 +129,7 @@ class Tables(unittest.TestCase):
         self.assertEqual(self.mode("--none")["was"], name)
         worst = self.worst_so_far()
         for shown in (xauto("top", "--once").stdout, xauto("param", "--run", self.run_id).stdout,
-                      xauto("top", "--run", self.run_id, "--interval-ms", 50, "--once").stdout):
+                      xauto("top", "--run", self.run_id, "--interval", "50ms", "--once").stdout):
             self.assertRegex(shown, r"of what met a change the nearest to its worst case, a result of '[^']+', took [\d.]+ ms of \*?[\d.]+ ms")
         report = self.end()
         self.assertIn((worst["from"], worst["to"], worst["us"], worst["worst_case_us"]),
@@ -198,7 +198,7 @@ class Tables(unittest.TestCase):
         self.solve("half.json", "half-tables.json", [{"name": "as said"}, {"name": "as it is", "wcet_scale_pct": {"gpu": 400}}])
         for flags in ((), ("--isolate",)):
             with self.subTest(flags):
-                self.start("--period-us", "60000", *flags, app="half.json", tables="half-tables.json")
+                self.start("--period", "60ms", *flags, app="half.json", tables="half-tables.json")
                 wait_for("the switch", lambda: self.mode()["now"] == "as it is", self.tool)
                 at = self.released()
                 wait_for("more releases", lambda: self.released() > at + 5, self.tool)
@@ -226,7 +226,7 @@ class Tables(unittest.TestCase):
             {"name": "fast", "when": [{"file": str(clock), "at_least": 900_000_000}]},
             {"name": "slow", "wcet_scale_pct": {"gpu": 200}, "when": [{"file": str(clock), "at_least": 450_000_000}]}])
         self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "driving", **QUEUES,
-                                       "tables": {"dwell_ms": 1}})
+                                       "tables": {"dwell_us": 1000}})
         self.start(tables="clocks.json")
         wait_for("fast", lambda: self.mode()["now"] == "fast", self.tool)
         clock.write_text("460000000\n")
@@ -247,11 +247,11 @@ class Tables(unittest.TestCase):
         self.write("roomy.json", app)
         self.solve("roomy.json", "roomy-tables.json", [{"name": "fast"}, {"name": "slow", "wcet_scale_pct": {"gpu": 150}}])
         self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "driving", **QUEUES,
-                                       "tables": {"dwell_ms": 300}})
+                                       "tables": {"dwell_us": 300000}})
         low = lambda kind, pct, at: [{"at_us": at, "speed_pct": {kind: pct}}, {"at_us": at + 400_000, "speed_pct": {kind: 100}}]
         self.write("falls.json", {"schema": "xauto.emulation", "version": 1, "steps":
                                   [*low("gpu", 30, 700_000), *low("dla", 20, 3_500_000), *low("gpu", 30, 6_300_000)]})
-        self.start("--period-us", "66000", "--emulate-script", "falls.json", app="roomy.json", tables="roomy-tables.json")
+        self.start("--period", "66ms", "--emulate-script", "falls.json", app="roomy.json", tables="roomy-tables.json")
         tables = json.loads((self.folder / "roomy-tables.json").read_text())
         on = {kind: {x["name"] for t in tables["tables"] for x in t["xnodes"] if x["xpu"].startswith(kind)} for kind in ("gpu", "dla")}
 

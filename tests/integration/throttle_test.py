@@ -78,7 +78,7 @@ class Throttle(unittest.TestCase):
             xnode["wcet_us"] = {kind: us * (2 if kind == "gpu" else 4) for kind, us in xnode["wcet_us"].items()}
         self.write("app.json", self.app)
         self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": SCENARIOS})
-        self.solve("--scenarios", "scenarios.json", "--tables", 2, "--time-limit-s", 4, app="app.json")
+        self.solve("--scenarios", "scenarios.json", "--tables", 2, "--time-limit", "4s", app="app.json")
         self.script({"at_us": 1_000_000, "speed_pct": {"gpu": 25}})
         report = self.run_app("--activations", 40, app="app.json")
         self.assertEqual(report["lost_activations"], 0)
@@ -91,7 +91,7 @@ class Throttle(unittest.TestCase):
         self.write("app.json", self.app)
         self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving",
                                       "scenarios": [{"name": "nominal"}, {"name": "no DLA", "lost": ["dla0"]}]})
-        self.solve("--scenarios", "scenarios.json", "--tables", 2, "--time-limit-s", 4, app="app.json")
+        self.solve("--scenarios", "scenarios.json", "--tables", 2, "--time-limit", "4s", app="app.json")
         tables = json.loads((self.folder / "policy.json").read_text())
         on_dla = [x["name"] for x in tables["tables"][0]["xnodes"] if x["xpu"] == "dla0"]
         self.assertTrue(on_dla, "so this tests nothing")
@@ -102,13 +102,13 @@ class Throttle(unittest.TestCase):
         with open(self.folder / "err", "w") as err:
             tool = subprocess.Popen(
                 [XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", "policy.json",
-                 "--deployment", "deployment.json", "--activations", "0", "--period-us", "100000", "--emulate-script",
+                 "--deployment", "deployment.json", "--activations", "0", "--period", "100ms", "--emulate-script",
                  "script.json", "--json", "--", DRIVING], cwd=self.folder, stdout=subprocess.PIPE, stderr=err, text=True)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
         self.addCleanup(lambda: tool.stdout.close())
 
         def now():
-            done = xauto("param", "--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
+            done = xauto("param", "--run", f"{tool.pid}-0", "--wait", "10s", "--json")
             self.assertEqual(done.returncode, 0, done.stderr + (self.folder / "err").read_text())
             return json.loads(done.stdout)["now"]
 

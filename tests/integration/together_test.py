@@ -13,7 +13,7 @@ CABIN = {"schema": "xauto.app", "version": 3, "name": "cabin",
          "xnodes": [{"name": "hear.pre", "module": "hear", "source": "mic", "wcet_us": {"cpu": 500}},
                     {"name": "hear.infer", "module": "hear", "wcet_us": {"gpu": 1500}}],
          "edges": [["hear.pre", "hear.infer"]]}
-SOLVE = ("solve", "--platform", "small", "--max-evaluations", 1500, "--time-limit-s", 60)
+SOLVE = ("solve", "--platform", "small", "--max-evaluations", 1500, "--time-limit", "60s")
 
 
 class Together(unittest.TestCase):
@@ -39,7 +39,7 @@ class Together(unittest.TestCase):
         self.assertIn("tell the truth", self.both("check", "d.json", "c.json"))
         for app, policy in ((DRIVING, "d.json"), ("cabin.json", "c.json")):
             self.assertIn("tells the truth", self.done("check", "--app", app, "--policy", policy))
-        played = json.loads(self.both("simulate", "d.json", "c.json", "--phases", "--jitter", "--seconds", 20, "--json"))
+        played = json.loads(self.both("simulate", "d.json", "c.json", "--phases", "--jitter", "--duration", "20s", "--json"))
         self.assertEqual(played["late"], 0)
         self.assertGreater(played["jobs"], 10_000)
         self.assertIn("cabin/hear.infer", [x["name"] for x in played["xnodes"]])

@@ -57,14 +57,14 @@ class Top(unittest.TestCase):
         return err
 
     def look(self, tool, *options):
-        done = xauto("top", "--run", f"{tool.pid}-0", "--wait-s", 30, "--json", *options)
+        done = xauto("top", "--run", f"{tool.pid}-0", "--wait", "30s", "--json", *options)
         self.assertEqual(done.returncode, 0, done.stderr)
         return [json.loads(line)["runs"][0] for line in done.stdout.splitlines()]
 
     def test_counts_are_those_of_the_report(self):
         tool = self.start("throw", "A", 5, files=testapp_files(self.folder, period_us=20_000, deadline_us=1))
         wait_for("the activation that fails", lambda: activations(tool).get("C", 0) > 8, tool)
-        first, second = self.look(tool, "--count", 2, "--interval-ms", 1000)
+        first, second = self.look(tool, "--count", 2, "--interval", "1s")
         self.assertEqual(first["app"], "testapp")
         err = self.end(tool)
         with open(os.path.join(self.folder, "r.json")) as file:
@@ -76,7 +76,7 @@ class Top(unittest.TestCase):
             before = next(c for c in first["chains"] if c["name"] == chain["name"])
             self.assertGreater(chain["results"], before["results"])
             self.assertLessEqual(chain["results"], of_run["results"])
-            self.assertAlmostEqual(chain["rate_hz"], (chain["results"] - before["results"]) * 1000 / second["interval_ms"],
+            self.assertAlmostEqual(chain["rate_hz"], (chain["results"] - before["results"]) * 1_000_000 / second["interval_us"],
                                    delta=1)
             # All results are later than 1 us, and so is what was lost. (They are read while they grow.)
             self.assertLessEqual(before["results"], chain["deadline_misses"])
@@ -97,7 +97,7 @@ class Top(unittest.TestCase):
         seen = {}
 
         def runs():
-            seen.update({x["xpu"]: x for x in self.look(tool, "--once", "--interval-ms", 50)[0]["xpus"]})
+            seen.update({x["xpu"]: x for x in self.look(tool, "--once", "--interval", "50ms")[0]["xpus"]})
             return [w["xnode"] for w in seen["npu0"]["workers"] if w["state"] == "running"] == ["b1"]
         wait_for("b1 on the npu", runs, tool)
         self.assertEqual(set(seen), {"cpu0", "npu0"})
@@ -105,12 +105,12 @@ class Top(unittest.TestCase):
 
     def test_a_pipe_gets_one_look_in_words(self):
         tool = self.start()
-        done = xauto("top", "--run", f"{tool.pid}-0", "--wait-s", 30, "--interval-ms", 500)
+        done = xauto("top", "--run", f"{tool.pid}-0", "--wait", "30s", "--interval", "500ms")
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(done.stdout.count("testapp on test"), 1)
         self.assertIn("src -> c1", done.stdout)
         self.assertNotIn("\x1b", done.stdout)
-        all_runs = xauto("top", "--once", "--interval-ms", 50)
+        all_runs = xauto("top", "--once", "--interval", "50ms")
         mine = all_runs.stdout[all_runs.stdout.index(f"run {tool.pid}-0: testapp on test"):].split("\nrun ")[0]
         for said in ("src -> c1", r"npu0 +gate, .*; coordinator pid \d+, \d+ decisions", r"\n    B@npu0 +\w"):
             self.assertRegex(mine, said)
@@ -135,7 +135,7 @@ class Top(unittest.TestCase):
         seen = {}
 
         def counts():
-            seen.update(self.look(tool, "--once", "--interval-ms", 50)[0])
+            seen.update(self.look(tool, "--once", "--interval", "50ms")[0])
             return all(m["activations"] > 0 for m in seen["modules"]) and all(c["results"] > 0 for c in seen["chains"])
         wait_for("counts of every module and chain", counts, tool)
         self.assertEqual([m["name"] for m in seen["modules"]], ["A", "B", "C", "D"])
@@ -143,11 +143,11 @@ class Top(unittest.TestCase):
         os.kill(min(pid for pid in children_of(tool.pid) if self.is_member(pid)), signal.SIGKILL)
 
         def died():
-            seen.update(self.look(tool, "--once", "--interval-ms", 50)[0])
+            seen.update(self.look(tool, "--once", "--interval", "50ms")[0])
             return any(m["deaths"] for m in seen["modules"])
         wait_for("the death of a module's process", died, tool)
         self.assertEqual([m["deaths"] for m in seen["modules"] if m["deaths"]], [1])
-        words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50).stdout
+        words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval", "50ms").stdout
         self.assertEqual(words.count("  died: 1"), 1, words)
 
     def test_without_a_run_it_says_so(self):

@@ -62,7 +62,7 @@ class Trace(unittest.TestCase):
         return json.loads(out)["runs"][0]
 
     def record(self, run, file, interval_ms, *options):
-        return xauto("top", "--run", f"{run.pid}-0", "--wait-s", 60, "--once", "--interval-ms", interval_ms, "--record", file, *options)
+        return xauto("top", "--run", f"{run.pid}-0", "--wait", "60s", "--once", "--interval", f"{interval_ms}ms", "--record", file, *options)
 
     def own(self, run):
         """Folders of this run's maps."""
@@ -106,7 +106,7 @@ class Trace(unittest.TestCase):
         self.addCleanup(lambda: (run.kill(), run.communicate()))
         words = open(os.path.join(self.dir.name, "words"), "w+")
         self.addCleanup(words.close)
-        trace = subprocess.Popen([XAUTO, "top", "--run", f"{run.pid}-0", "--wait-s", "60", "--count", "0", "--record",
+        trace = subprocess.Popen([XAUTO, "top", "--run", f"{run.pid}-0", "--wait", "60s", "--count", "0", "--record",
                                   os.path.join(self.dir.name, "lost.jsonl")], stdout=words, stderr=subprocess.PIPE, text=True)
         wait_for("the tracer", lambda: list(ROOT.glob(f"{run.pid}-*/events")), trace)
         trace.send_signal(signal.SIGSTOP)
@@ -150,7 +150,7 @@ class Trace(unittest.TestCase):
         run = self.drive()
         def look():
             """Of the second look: what has begun and ended since the first. None if the GPU did nothing meanwhile."""
-            top = xauto("top", "--run", f"{run.pid}-0", "--wait-s", 60, "--count", "2", "--interval-ms", "700", "--json")
+            top = xauto("top", "--run", f"{run.pid}-0", "--wait", "60s", "--count", "2", "--interval", "700ms", "--json")
             self.assertEqual(top.returncode, 0, top.stderr)
             last = json.loads(top.stdout.splitlines()[-1])["runs"][0]
             load = {x["xpu"]: x.get("load_pct", 0) for x in last["xpus"]}

@@ -44,7 +44,7 @@ class Unended(unittest.TestCase):
             "edges": [], "chains": [{"name": "fast", "from": "fast", "to": "fast.a", "deadline_us": 12000},
                                     {"name": "slow", "from": "slow", "to": "slow.b", "deadline_us": 110000}]})
         policy = os.path.join(cls.folder, "policy.json")
-        done = xauto("solve", "--app", app, "--platform", platform, "--time-limit-s", 1, "--out", policy)
+        done = xauto("solve", "--app", app, "--platform", platform, "--time-limit", "1s", "--out", policy)
         assert done.returncode == 0, done.stderr
         cls.flags = ["--app", app, "--platform", platform, "--policy", policy, "--real"]
 
@@ -67,12 +67,12 @@ class Unended(unittest.TestCase):
         return json.loads(out)["runs"][0], err
 
     def run_app(self, fault, *flags, status=1):
-        return self.report(self.start(fault, "--seconds", 1, *flags), status)
+        return self.report(self.start(fault, "--duration", "1s", *flags), status)
 
     def live(self, pattern, tool):
         """What `xauto top --once` says of the claims of this run, once it is so."""
         def look():
-            runs = json.loads(xauto("top", "--once", "--json", "--interval-ms", 50).stdout)["runs"]
+            runs = json.loads(xauto("top", "--once", "--json", "--interval", "50ms").stdout)["runs"]
             found = [line for run in runs if run["run"] == f"{tool.pid}-0" and "claims" in run
                      for line in run["claims"]["broken"] if re.search(pattern, line)]
             return found[0] if found else None
@@ -104,7 +104,7 @@ class Unended(unittest.TestCase):
         self.assertRegex(err, r"is not complete: .* of XModule 'Slow'")
 
     def test_it_is_named_while_the_run_goes_on(self):
-        tool = self.start("exec", "--seconds", 3600)
+        tool = self.start("exec", "--duration", "3600s")
         self.assertRegex(self.live("slow.b", tool), HUNG)
         self.assertRegex("\n".join(top(tool)["claims"]["broken"]), HUNG)
         self.assertRegex(xauto("top", "--once").stdout, "not claimed here: .*" + HUNG)
@@ -120,7 +120,7 @@ class Unended(unittest.TestCase):
             self.assertIn(why, err)
 
     def test_a_resume_that_fails_is_named_at_once(self):
-        tool = self.start("resume-fails", "--seconds", 3600)
+        tool = self.start("resume-fails", "--duration", "3600s")
         self.live(r"preemption failed \d+ times? on npu0: the work of XNode 'slow\.b' was not resumed", tool)
         self.live(HUNG, tool)  # it stands still
         tool.terminate()
@@ -132,7 +132,7 @@ class Unended(unittest.TestCase):
 
     def test_a_call_that_never_returns_ends_the_run_with_its_report(self):
         for call in ("suspend", "resume"):
-            tool = self.start(f"{call}-hangs", "--seconds", 3)
+            tool = self.start(f"{call}-hangs", "--duration", "3s")
             self.live(f"preemption failed 1 time on npu0: the work of XNode 'slow.b' was not {call}e?d", tool)
             run, err = self.report(tool)
             self.assertFalse(run["complete"])
@@ -173,7 +173,7 @@ class Unended(unittest.TestCase):
         self.assertIn("1 of 11 activations of XModule 'D' did not end", done.stderr)
 
     def test_a_run_that_was_told_to_stop_says_so_and_claims_nothing(self):
-        tool = self.start("", "--seconds", 3600)
+        tool = self.start("", "--duration", "3600s")
         wait_for("results", lambda: sum(activations(tool).values()) > 3, tool)
         for pid in app_of(tool.pid):
             os.kill(pid, signal.SIGTERM)

@@ -38,7 +38,7 @@ class Urgent(unittest.TestCase):
                                     {"name": "lidar", **source}],
                         "xnodes": [{"name": f"{n}.run", "module": f"{n}M", "source": n, "wcet_us": {"gpu": us}}
                                    for n, us in (("camera", 3000), ("lidar", 8000))]})
-        done = cls.tool("solve", app, "--max-evaluations", 300, "--threads", 1, "--time-limit-s", 60,
+        done = cls.tool("solve", app, "--max-evaluations", 300, "--threads", 1, "--time-limit", "60s",
                         "--out", cls.folder / f"{policy}.json")
         assert done.returncode == 0, done.stdout + done.stderr
         document = json.loads((cls.folder / f"{policy}.json").read_text())
@@ -73,7 +73,7 @@ class Urgent(unittest.TestCase):
         self.assertLessEqual(camera["urgent"]["longest_us"], KEYS["camera.run"] - BY)
 
     def check_run(self, *flags, polled=()):
-        done, run = self.run_app(2, "--seconds", 4, *flags, polled=polled)
+        done, run = self.run_app(2, "--duration", "4s", *flags, polled=polled)
         self.assertEqual(done.returncode, 0, done.stderr)
         camera = run["chains"][0]
         self.assertEqual(camera["urgent_worst_case_us"], KEYS["camera.run"] - BY)
@@ -100,7 +100,7 @@ class Urgent(unittest.TestCase):
         self.check_run("--isolate")
 
     def test_what_is_urgent_too_soon_is_an_ordinary_release(self):
-        done, run = self.run_app(1, "--seconds", 2)
+        done, run = self.run_app(1, "--duration", "2s")
         self.assertEqual(done.returncode, 0, done.stderr)
         broken = [line for line in run["claims"]["broken"] if "too soon" in line]
         self.assertEqual(len(broken), 1, run["claims"]["broken"])
@@ -111,7 +111,7 @@ class Urgent(unittest.TestCase):
 
     def test_the_trace_tells_which_were_urgent(self):
         trace = self.folder / "urgent.pftrace"
-        done, _ = self.run_app(2, "--seconds", 2, "--trace-out", trace)
+        done, _ = self.run_app(2, "--duration", "2s", "--trace-out", trace)
         self.assertEqual(done.returncode, 0, done.stderr)
         chains = {}
         for number in range(10, 30):
@@ -128,7 +128,7 @@ class Urgent(unittest.TestCase):
             self.assertEqual(job["key_us"] - job["released_us"], KEYS["camera.run"] - BY * chain["urgent"])
 
     def test_without_a_statement_it_is_refused(self):
-        done, _ = self.run_app(2, "--seconds", 1, app="plain", policy="plain-policy")
+        done, _ = self.run_app(2, "--duration", "1s", app="plain", policy="plain-policy")
         self.assertIn("nothing certifies that in this run", done.stderr)
         self.assertIn('"urgent": {"by_us", "every_us"}', done.stderr)
 
@@ -141,7 +141,7 @@ class Urgent(unittest.TestCase):
         try:
             wait_for("results", lambda: activations(tool).get("cameraM", 0) > 20, tool)
             one = top(tool)
-            words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50).stdout
+            words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval", "50ms").stdout
             runs = json.loads(xauto("top", "--once", "--json").stdout)["runs"]
         finally:
             tool.terminate()

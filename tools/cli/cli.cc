@@ -6,7 +6,6 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <map>
 #include <string_view>
 #include <type_traits>
 
@@ -26,24 +25,6 @@ std::string no_number(const std::string& text) {
   return end != text.c_str() && !std::isfinite(value) ? "'" + text + "' is no finite number" : "";
 }
 
-/// CLI11 keeps the words of IsMember in the option's type only: "TEXT:{auto,heft}".
-std::vector<std::string> values_of(const CLI::Option& option) {
-  const std::string type = option.get_type_name();
-  const std::size_t open = type.find('{'), close = type.rfind('}');
-  std::vector<std::string> values;
-  if (open == std::string::npos || close == std::string::npos || close < open) return values;
-  std::string word;
-  for (std::size_t i = open + 1; i <= close; ++i) {
-    if (type[i] != ',' && i < close) {
-      word += type[i];
-      continue;
-    }
-    values.push_back(std::move(word));
-    word.clear();
-  }
-  return values;
-}
-
 /// "--platfrm", or "-app", a word before "--" that begins as an option and is none of these. Empty: there is none.
 std::string no_option(const std::vector<const CLI::App*>& of, int argc, char** argv) {
   for (int k = 1; k < argc && std::string_view(argv[k]) != "--"; ++k) {
@@ -57,6 +38,51 @@ std::string no_option(const std::vector<const CLI::App*>& of, int argc, char** a
         word.starts_with('-') && word.size() > 2 && *end != '\0';  // "-nan" is a value
     if (option && !known) return word;
   }
+  return {};
+}
+
+struct TimeUnit {
+  const char* name;
+  double us;
+};
+constexpr TimeUnit kTimeUnits[] = {{"us", 1}, {"ms", 1e3}, {"s", 1e6}, {"min", 6e7}, {"h", 3.6e9}};
+
+constexpr double us_of(Unit unit) {
+  return unit == Unit::kMicroseconds ? 1 : unit == Unit::kMilliseconds ? 1e3 : 1e6;
+}
+
+/// "1.5s": with the largest unit of which there is one.
+std::string spelled(double us) {
+  const TimeUnit* best = kTimeUnits;
+  for (const TimeUnit& unit : kTimeUnits)
+    if (us >= unit.us) best = &unit;
+  char text[40];
+  std::snprintf(text, sizeof text, "%g%s", us / best->us, best->name);
+  return text;
+}
+
+/// `text` becomes a number of `unit`s. What is wrong; empty: nothing.
+std::string read_duration(std::string& text, Unit unit, bool whole, double least, double most) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  const std::string behind = end;
+  const auto* found = std::find_if(std::begin(kTimeUnits), std::end(kTimeUnits),
+                                   [&](const TimeUnit& u) { return behind == u.name; });
+  if (end == text.c_str() || !std::isfinite(value) ||
+      (found == std::end(kTimeUnits) && !behind.empty()))
+    return "'" + text + "' is no time such as 250us, 10ms, 1.5s, 2min or 1h";
+  if (found == std::end(kTimeUnits))
+    return "'" + text + "' has no unit: say " + text + "us, " + text + "ms, " + text + "s, " +
+           text + "min or " + text + "h";
+  const double units = value * found->us / us_of(unit);
+  if (!(units >= least && units <= most))
+    return "'" + text + "' is not from " + spelled(least * us_of(unit)) + " to " +
+           spelled(most * us_of(unit));
+  if (whole && std::abs(units - std::round(units)) > 1e-6)
+    return "'" + text + "' is no multiple of " + spelled(us_of(unit));
+  char number[40];
+  std::snprintf(number, sizeof number, whole ? "%.0f" : "%.17g", units);
+  text = number;
   return {};
 }
 
@@ -128,12 +154,6 @@ Argument& Argument::value_may_miss(const std::string& kind) {
   return *this;
 }
 
-Argument& Argument::with_time_unit() {
-  option_->transform(CLI::AsNumberWithUnit(
-      std::map<std::string, double>{{"ms", 0.001}, {"s", 1}, {"min", 60}, {"h", 3600}}));
-  return *this;
-}
-
 bool Argument::given() const {
   return option_->count() > 0;
 }
@@ -156,6 +176,34 @@ template Argument Verb::option(const std::string&, std::vector<int>&, const std:
 template Argument Verb::option(const std::string&, std::vector<std::int64_t>&, const std::string&);
 template Argument Verb::option(const std::string&, std::vector<double>&, const std::string&);
 
+template <class T>
+Argument Verb::duration(const std::string& name, T& target, Unit unit, double least, double most,
+                        const std::string& help) {
+  constexpr bool whole = !std::is_same_v<T, double>;
+  CLI::Option* option = app_->add_option(name, target, help)->type_name("TIME");
+  option->transform(CLI::Validator(
+      [=](std::string& text) { return read_duration(text, unit, whole, least, most); }, "", ""));
+  if constexpr (std::is_arithmetic_v<T>) {
+    if (target > 0) option->default_str(spelled(static_cast<double>(target) * us_of(unit)));
+  } else {
+    std::string words;
+    for (const auto one : target)
+      words += (words.empty() ? "" : " ") + spelled(static_cast<double>(one) * us_of(unit));
+    option->default_str(words);
+  }
+  return Argument(option);
+}
+template Argument Verb::duration(const std::string&, double&, Unit, double, double,
+                                 const std::string&);
+template Argument Verb::duration(const std::string&, int&, Unit, double, double,
+                                 const std::string&);
+template Argument Verb::duration(const std::string&, unsigned&, Unit, double, double,
+                                 const std::string&);
+template Argument Verb::duration(const std::string&, std::int64_t&, Unit, double, double,
+                                 const std::string&);
+template Argument Verb::duration(const std::string&, std::vector<std::int64_t>&, Unit, double,
+                                 double, const std::string&);
+
 Argument Verb::flag(const std::string& name, bool& target, const std::string& help) {
   return Argument(app_->add_flag(name, target, help));
 }
@@ -166,20 +214,6 @@ void Verb::footer(const std::string& text) {
 
 bool Verb::has(const std::string& option) const {
   return app_->get_option_no_throw(option) != nullptr;
-}
-
-std::string Verb::name() const {
-  return app_->get_name();
-}
-
-std::vector<DeclaredOption> Verb::options() const {
-  std::vector<DeclaredOption> declared;
-  for (const CLI::Option* option : app_->get_options()) {
-    if (option->get_lnames().empty()) declared.push_back({"", values_of(*option)});
-    for (const std::string& name : option->get_lnames())
-      declared.push_back({"--" + name, values_of(*option)});
-  }
-  return declared;
 }
 
 Program::Program(const std::string& description, const std::string& name)

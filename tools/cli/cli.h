@@ -42,20 +42,15 @@ class Argument {
   Argument& separated_by(char sign);  ///< several values in one word
   Argument& values(int count);        ///< takes so many words
   Argument& value_may_miss(const std::string& kind);
-  /// A time with its unit behind: ms, s, min or h. The variable gets seconds.
-  Argument& with_time_unit();
-
   [[nodiscard]] bool given() const;
 
  private:
   CLI::Option* option_;
 };
 
-/// All that one option takes, where that is a few words; for shell completion.
-struct DeclaredOption {
-  std::string name;  ///< "--json"; empty: what stands without an option's name
-  std::vector<std::string> values;
-};
+/// What a variable counts in that gets a duration.
+enum class Unit { kMicroseconds, kMilliseconds, kSeconds };
+inline constexpr double kYearS = 31'536'000;  ///< no wait is longer
 
 /// What takes options: a program, or one of its verbs. A copy means the same one.
 class Verb {
@@ -65,13 +60,17 @@ class Verb {
   /// Argument::range, or a vector of strings, ints, std::int64_t or doubles.
   template <class T>
   Argument option(const std::string& name, T& target, const std::string& help = {});
+  /// A time with its unit behind, as in 250us, 10ms, 1.5s, 2min or 1h: every duration of every command line is written
+  /// so. `target`, from `least` to `most`, is in `unit`; what it holds is the default, shown if above 0. T: double,
+  /// int, unsigned, std::int64_t or a vector of the last.
+  template <class T>
+  Argument duration(const std::string& name, T& target, Unit unit, double least, double most,
+                    const std::string& help);
   /// "--x" sets `target`; "!--no-x" clears it.
   Argument flag(const std::string& name, bool& target, const std::string& help);
 
   void footer(const std::string& text);  ///< below the help
   [[nodiscard]] bool has(const std::string& option) const;
-  [[nodiscard]] std::string name() const;
-  [[nodiscard]] std::vector<DeclaredOption> options() const;
 
  protected:
   CLI::App* app_;

@@ -110,21 +110,17 @@ int main(int argc, char** argv) {
   root.option("--mode", mode, "auto, full: all threads are ours; partial: SCHED_EXT ones only")
       .one_of({"auto", "full", "partial"})
       .shown();
-  root.option("--timeout-ms", options.timeout_ms, "the kernel's watchdog")
-      .range(100u, 30'000u)
-      .shown();
+  root.duration("--timeout", options.timeout_ms, xauto::cli::Unit::kMilliseconds, 100, 30'000,
+                "the kernel's watchdog");
   root.option("--floor-permille", options.floor_permille, "CPU share kept for everybody else")
       .range(0u, 500u)
       .shown();
-  root.option("--floor-burst-us", options.floor_burst_us, "how much of it may be saved up")
-      .range(1000u, 1'000'000u)
-      .shown();
-  root.option("--slice-us", options.xnode_slice_us, "how often floor and budgets are looked at")
-      .range(500u, 100'000u)
-      .shown();
-  root.option("--age-ms", options.age_ms, "after which an XNode that waits gets a turn")
-      .range(10u, 20'000u)
-      .shown();
+  root.duration("--floor-burst", options.floor_burst_us, xauto::cli::Unit::kMicroseconds, 1000, 1e6,
+                "how much of it may be saved up");
+  root.duration("--slice", options.xnode_slice_us, xauto::cli::Unit::kMicroseconds, 500, 100'000,
+                "how often floor and budgets are looked at");
+  root.duration("--age", options.age_ms, xauto::cli::Unit::kMilliseconds, 10, 20'000,
+                "after which an XNode that waits gets a turn");
   root.flag("--join", join, "load nothing: follow the run's scheduler, which is there already");
   root.option("--ready-fd", ready_fd, "tell here when the scheduler is enabled, or why not");
   if (const auto status = root.parse(argc, argv)) return *status;

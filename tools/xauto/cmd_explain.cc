@@ -192,9 +192,8 @@ void add_explain(Commands& commands) {
   verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
   verb.option("--policy", flags->policy, "policy.json");
   verb.option("--windows", flags->windows, "write a picture of every job's window here, an SVG");
-  verb.option("--time-limit-s", flags->moves_s, "for all that moving an XNode would bring")
-      .not_negative()
-      .shown();
+  verb.duration("--time-limit", flags->moves_s, Unit::kSeconds, 0, kYearS,
+                "for all that moving an XNode would bring");
   verb.option("--trace", flags->trace,
               "instead of the three above: a file of `xauto run --trace-out` or `xauto compare`")
       .excludes("--app")

@@ -87,7 +87,8 @@ void add_generate(Commands& commands) {
   verb.option("--sibling-edge", o.sibling_edge, "probability of an edge between two branches")
       .shown();
   verb.option("--sibling-direction", o.sibling_direction, "forward, shuffled or node").shown();
-  verb.option("--cpu-us", flags->cpu_us, "least and most CPU time").values(2).shown();
+  verb.duration("--cpu-time", flags->cpu_us, Unit::kMicroseconds, 1, 1e9, "least and most CPU time")
+      .values(2);
   verb.option("--heavy-share", o.heavy_share, "XNodes that count as heavy").shown();
   verb.option("--heavy-gpu", o.heavy_gpu, "probability of a GPU implementation, heavy").shown();
   verb.option("--heavy-dla", o.heavy_dla, "of a DLA implementation, heavy").shown();

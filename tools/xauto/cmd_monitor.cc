@@ -224,10 +224,10 @@ void add_monitor(Commands& commands) {
   verb.flag("--diagnostics", flags->diagnostics,
             "publish diagnostic_msgs/msg/DiagnosticArray on /diagnostics, over Cyclone DDS");
   verb.option("--run", flags->run, "this run alone, to its end; default: all, also later ones");
-  verb.option("--interval-ms", flags->interval_ms, "between two looks").range(50, 60'000).shown();
-  verb.option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
-      .range(0, 86'400)
-      .shown();
+  verb.duration("--interval", flags->interval_ms, Unit::kMilliseconds, 50, 60'000,
+                "between two looks");
+  verb.duration("--wait", flags->wait_s, Unit::kSeconds, 0, kYearS,
+                "how long to wait for a run to begin");
 }
 
 }  // namespace xauto::cli

@@ -229,7 +229,8 @@ void add_param(Commands& commands) {
               "least what it covers counts");
   verb.flag("--none", flags->none, "with scenario: nobody asks for one any more");
   verb.option("--run", flags->run, "which run, where several go on");
-  verb.option("--wait-s", flags->wait_s, "wait so long for a run").not_negative().shown();
+  verb.duration("--wait", flags->wait_s, Unit::kSeconds, 0, kYearS,
+                "how long to wait for a run to begin");
 }
 
 }  // namespace xauto::cli

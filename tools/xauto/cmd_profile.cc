@@ -492,10 +492,8 @@ void add_profile(Commands& commands) {
   verb.flag("--stable", flags->stable,
             "where the maximum is above twice the median, repeat until it is seen whether such "
             "times come back; one that does not is reported, and does not make the WCET");
-  verb.option("--exec-limit-s", flags->exec_limit_s,
-              "an exec that takes longer ends the profile; what was measured is written")
-      .range(std::int64_t{1}, std::int64_t{1'000'000})
-      .shown();
+  verb.duration("--exec-limit", flags->exec_limit_s, Unit::kSeconds, 1, 1e6,
+                "an exec that takes longer ends the profile; what was measured is written");
   verb.option("--margin-pct", flags->margin_pct, "WCET = max + this much").range(0, 1000).shown();
   verb.option("--from", flags->from,
               "what becomes the WCET in app.json: wcet (max + margin), p99, p50")

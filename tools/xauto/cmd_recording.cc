@@ -2,6 +2,7 @@
 // xauto recording: what is in a recorded input (info), whether it can be read to its end (check), and what can be read of one
 // that is damaged, as a new one (repair).
 // Recording itself is `xauto run --record FILE`.
+#include <cmath>
 #include <filesystem>
 #include <iostream>
 #include <map>
@@ -77,7 +78,7 @@ int print_info(const std::string& path, const Contents& c, const Options& option
                       {"bytes", c.bytes[i]}});
   }
   const Json all = {{"messages", c.num_messages},
-                    {"duration_s", c.seconds},
+                    {"duration_us", std::llround(c.seconds * 1e6)},
                     {"topics", topics},
                     {"gaps", c.gaps},
                     {"note", c.note}};
@@ -111,7 +112,7 @@ void warn_of(const Contents& c) {
   if (c.num_gaps > 0)
     log::warn(
         "a clock was set meanwhile, or a stamp is wrong: a replay waits as long, unless `xauto run "
-        "--max-gap 1` shortens it");
+        "--max-gap 1s` shortens it");
 }
 
 Json to_json(const record::Salvaged& salvaged) {

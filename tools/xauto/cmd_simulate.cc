@@ -41,7 +41,7 @@ void add_simulate(Commands& commands) {
   verb.option("--platform", flags->platform, kPlatformNames).shown_as("the policy's");
   verb.option("--policy", flags->policies, "policy.json; one for each --app").required();
   verb.option("--out", flags->out, "write the result here");
-  verb.option("--seconds", flags->play.seconds, "how long").range(1, 86400).shown();
+  verb.duration("--duration", flags->play.seconds, Unit::kSeconds, 1, 86400, "how long");
   verb.flag("--random-times", flags->play.random_times, "execution times up to the WCET");
   verb.flag("--jitter", flags->play.jitter, "each source as late as it may be, at random");
   verb.flag("--phases", flags->play.phases,

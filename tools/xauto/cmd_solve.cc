@@ -133,7 +133,7 @@ void add_solve(Commands& commands) {
       "solve",
       "Choose an XPU, and an instant to be done by, for every XNode; each chain has a proven worst "
       "case.",
-      "xauto solve --app app.json --platform small --time-limit-s 10 --out policy.json",
+      "xauto solve --app app.json --platform small --time-limit 10s --out policy.json",
       [flags](const Options& options) { return solve(*flags, options); });
   verb.option("--app", flags->apps, "app.json; several: for one machine, each with its claims")
       .required();
@@ -145,9 +145,8 @@ void add_solve(Commands& commands) {
           "priorities, of which nothing is claimed")
       .one_of({"auto", "search", "ilp", "heft", "local"})
       .shown();
-  verb.option("--time-limit-s", flags->options.time_limit_s, "end after this long")
-      .not_negative()
-      .shown();
+  verb.duration("--time-limit", flags->options.time_limit_s, Unit::kSeconds, 0, kYearS,
+                "end after this long");
   flags->options.threads = 2;
   verb.option("--threads", flags->options.threads, "solving threads").range(1, 64).shown();
   verb.option("--seed", flags->options.seed, "of the search").shown();

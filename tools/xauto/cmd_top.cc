@@ -237,11 +237,12 @@ void add_top(Commands& commands) {
       "top",
       "Show a run live: rate, latency, age and losses per chain and module, who runs and who waits "
       "per XPU. --once: all runs, and what each of their workers does.",
-      "xauto top\n  xauto top --once\n  xauto top --once --interval-ms 5000 --record cpus.pftrace",
+      "xauto top\n  xauto top --once\n  xauto top --once --interval 5s --record cpus.pftrace",
       [flags](const Options& options) { return top(*flags, options); });
   verb.option("--run", flags->run,
               "which run, if there are several; with BPF also what the kernel knows");
-  verb.option("--interval-ms", flags->interval_ms, "between two looks").range(50, 60'000).shown();
+  verb.duration("--interval", flags->interval_ms, Unit::kMilliseconds, 50, 60'000,
+                "between two looks");
   verb.option("--count", flags->count,
               "how many times; 0: until the run ends, or Ctrl-C; default: 0 on a "
               "terminal, else 1")
@@ -251,9 +252,8 @@ void add_top(Commands& commands) {
       "--record", flags->record,
       "meanwhile record what the kernel does with the run's threads, with BPF: FILE.pftrace for "
       "Perfetto's viewers, else a JSON object per line");
-  verb.option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
-      .range(0, 86'400)
-      .shown();
+  verb.duration("--wait", flags->wait_s, Unit::kSeconds, 0, kYearS,
+                "how long to wait for a run to begin");
 }
 
 }  // namespace xauto::cli

@@ -62,7 +62,7 @@ int Commands::run(int argc, char** argv) {
   program_.footer(
       "Exit status: 0 done, 1 the answer is no or something failed, 2 bad usage or bad input.\n"
       "Next: xauto doctor");
-  for (Verb& verb : verbs())
+  for (Verb& verb : program_.verbs())
     if (verb.has("--app") || verb.has("--platform"))
       verb.flag("--strict", options_.strict,
                 "refuse files with keys that their format does not have");

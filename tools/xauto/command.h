@@ -50,8 +50,6 @@ class Commands {
   Verb add(const std::string& verb, const std::string& description, const std::string& example,
            Body body);
   int run(int argc, char** argv);
-  /// What was declared, for shell completion.
-  [[nodiscard]] std::vector<Verb> verbs() const { return program_.verbs(); }
 
  private:
   Program& program_;
@@ -62,7 +60,6 @@ class Commands {
 // One per cmd_*.cc.
 void add_check(Commands&);
 void add_compare(Commands&);
-void add_completion(Commands&);
 void add_doctor(Commands&);
 void add_explain(Commands&);
 void add_generate(Commands&);

@@ -95,7 +95,7 @@ Result<Watched> watch(const std::string& run, int wait_s, const std::atomic<bool
         sockets.empty()
             ? fail(ErrorCode::kNotFound,
                    run.empty() ? "no run is going on" : "no run '" + run + "' is going on", "--run",
-                   "start `xauto run ...`, then this, or see --wait-s; runs of other users, "
+                   "start `xauto run ...`, then this, or see --wait; runs of other users, "
                    "containers and network namespaces are not seen")
             : choose(introduce(sockets));
     const bool several = !watched && run.empty() && watched.error().code == ErrorCode::kInvalid;

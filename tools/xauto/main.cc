@@ -27,6 +27,5 @@ int main(int argc, char** argv) {
   xauto::cli::add_monitor(commands);
   xauto::cli::add_param(commands);
   xauto::cli::add_recording(commands);
-  xauto::cli::add_completion(commands);
   return commands.run(argc, argv);
 }

@@ -2,6 +2,7 @@
 #include "xauto/policies.h"
 
 #include <algorithm>
+#include <cmath>
 #include <iostream>
 #include <unordered_map>
 #include <utility>
@@ -390,7 +391,7 @@ void tell_policy(const AppSpec& app, const Platform& platform, const keys::Uncer
                         {"longest_us", chain.longest_us},
                         {"releases", chain.releases}});
     }
-    told["played"] = {{"seconds", found.seconds},
+    told["played"] = {{"duration_us", found.seconds * 1'000'000},
                       {"backlog", found.played->backlog},
                       {"chains", std::move(chains)}};
     text += fmt::format(
@@ -534,7 +535,7 @@ Result<int> solve_uncertified(const Apps& apps, const Platform& platform,
       fmt::format("{} on {}: nothing is certified: {}\n\n", app.name, platform.name,
                   proven ? "no policy keeps up: " + answer.overload.text
                          : "neither a policy that keeps up was found in this time, nor a "
-                           "proof that there is none (--time-limit-s)");
+                           "proof that there is none (--time-limit)");
   if (proven) tell_proof(app, answer.overload, told, text);
   const std::vector<RareWcet> rare = rare_in_overload(app, platform, asked.wishes);
   if (!rare.empty()) told["rare_wcets"] = to_json(rare, app);
@@ -703,7 +704,7 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
   if (options.json) {
     Json root = json_of(apps, platform, answer.policy);
     root["evaluations"] = answer.evaluations;
-    root["first_answer_ms"] = answer.first_answer_ms;
+    root["first_answer_us"] = std::llround(answer.first_answer_ms * 1e3);
     root["proofs"] = proofs(*checked);
     root["objective"] = objective_of(app, answer, asked.aim);
     if (asked.hint != nullptr) root["moved"] = moved(app, platform, *asked.hint, answer);
@@ -715,7 +716,7 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
     std::cout << root.dump(2) << "\n";
   } else {
     std::cout << fmt::format("{} on {}: {}, {:.2f} s{}\n\n", app.name, platform.name, shape(app),
-                             static_cast<double>(answer.policy.solve_ms) / 1000,
+                             static_cast<double>(answer.policy.solve_us) / 1e6,
                              asked.stop != nullptr && asked.stop->load()
                                  ? " (interrupted: best so far)"
                                  : "")
@@ -872,7 +873,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
                        report.chains[worst].name)
                 << what_if_table(app, policy, moved.tried, moved.each_s);
     if (moved.untried > 0)
-      std::cout << fmt::format("\n  {} more were not tried in {:g} s (--time-limit-s).\n",
+      std::cout << fmt::format("\n  {} more were not tried in {:g} s (--time-limit).\n",
                                moved.untried, moves_s);
   }
   std::cout.flush();
@@ -1117,7 +1118,7 @@ Result<int> simulate_policy(const Apps& apps, const Platform& platform,
                {"version", 2},
                {"app", app.name},
                {"platform", platform.name},
-               {"seconds", asked.seconds},
+               {"duration_us", asked.seconds * 1'000'000},
                {"seed", asked.seed},
                {"jobs", played.jobs},
                {"late", played.late},

@@ -60,7 +60,7 @@ class Remedies {
 
   void less_margin(const std::optional<std::int64_t>& pct, bool late) {
     if (!pct) return;
-    found_.push_back({*pct == 100 ? "a longer search (--time-limit-s)"
+    found_.push_back({*pct == 100 ? "a longer search (--time-limit)"
                                   : fmt::format("all WCETs at {} % of what they are ({} % less)",
                                                 *pct, 100 - *pct),
                       {{"wcets_pct", *pct}},

@@ -2,6 +2,7 @@
 #include "xauto/report.h"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 #include <tuple>
 
@@ -378,7 +379,7 @@ Json run_json(const RunFlags& flags, const PolicyRun& run, const PolicyRun* base
             {"scheduling", runtime::to_string(run.scheduling)},
             {"trace_events_lost", run.outcome.trace.lost},
             {"trace_events_overwritten", run.outcome.trace.overwritten},
-            {"trace_s", traced_s(run.outcome.trace)},
+            {"trace_us", std::llround(traced_s(run.outcome.trace) * 1e6)},
             {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
   if (!flags.fail_on.empty()) {
     Json gate = Json::object();

@@ -71,26 +71,24 @@ void RunFlags::declare(Verb verb) {
               "that time; 0: until Ctrl-C or the input's end")
       .range(std::uint64_t{0}, runtime::kMaxActivations)
       .shown();
-  verb.option("--seconds", seconds, "release for so long instead")
-      .range(0.001, 31'536'000.0)
+  verb.duration("--duration", seconds, Unit::kSeconds, 0.001, kYearS, "release for so long instead")
       .excludes("--activations");
-  verb.option("--period-us", period_us, "release period instead of the app's own")
-      .range(std::int64_t{1}, std::int64_t{3'600'000'000});
+  verb.duration("--period", period_us, Unit::kMicroseconds, 1, 3.6e9,
+                "release period instead of the app's own");
   verb.option("--input", input, "recorded input to replay instead of the app's own messages");
   verb.flag("--lockstep", lockstep, "release the next message when the last one has drained");
   verb.option("--rate", input_rate, "of --input: replay it so much faster than it was recorded")
       .range(0.001, 1000.0)
       .needs("--input")
       .excludes("--lockstep")
-      .excludes("--period-us");
-  verb.option(
-          "--max-gap", input_max_gap_s,
-          "of --input: wait no longer than so many seconds between two of its messages, as where a "
-          "clock was set while it was recorded")
-      .range(0.001, 31'536'000.0)
+      .excludes("--period");
+  verb.duration(
+          "--max-gap", input_max_gap_s, Unit::kSeconds, 0.001, kYearS,
+          "of --input: wait no longer than this between two of its messages, as where a clock "
+          "was set while it was recorded")
       .needs("--input")
       .excludes("--lockstep")
-      .excludes("--period-us");
+      .excludes("--period");
   verb.option("--cpu-sched", cpu_sched,
               "threads of CPU XNodes on real cores: ext (sched_ext, else fifo), fifo or other")
       .one_of({"ext", "fifo", "other"})
@@ -121,11 +119,8 @@ void RunFlags::declare(Verb verb) {
   verb.option("--restarts", restarts, "how often a module's process that died is started again")
       .range(0, 1'000'000)
       .shown();
-  verb.option("--trace-keep", trace_keep_s,
-              "the trace keeps the newest events of so long, 30s or 2min, as far as 128 MiB go")
-      .with_time_unit()
-      .range(0.001, 1e6)
-      .shown_as("30s");
+  verb.duration("--trace-keep", trace_keep_s, Unit::kSeconds, 0.001, 1e6,
+                "the trace keeps the newest events of so long, as far as 128 MiB go");
   verb.option("command", command, "the app's program and its arguments, after --").required();
 }
 

@@ -128,8 +128,8 @@ void add_kernel(const Live& live, const KernelLook& now, const KernelLook& befor
                               {"run_p50_us", measured(n.run_p50_us)},
                               {"run_p99_us", measured(n.run_p99_us)},
                               {"wait_p99_us", measured(n.wait_p99_us)},
-                              {"run_ms", n.run_ms},
-                              {"wait_ms", n.wait_ms},
+                              {"run_us", std::llround(n.run_ms * 1e3)},
+                              {"wait_us", std::llround(n.wait_ms * 1e3)},
                               {"preemptions", n.preemptions},
                               {"migrations", n.migrations}});
   }
@@ -268,7 +268,7 @@ Json json_of(const ShownRun& shown) {
     j["app"] = shown.watched->app;
     j["platform"] = shown.watched->platform;
     j["scheduling"] = shown.watched->scheduling;
-    j["interval_ms"] = (now.at_ns - before.at_ns) / 1'000'000;
+    j["interval_us"] = (now.at_ns - before.at_ns) / 1'000;
     j["releases"] = now.released;
     j["chains"] = chains_json(now, before);
     j["claims"] = runtime::claims_json(now.account);

@@ -148,7 +148,7 @@ void print_tables(const AppSpec& app, const Platform& platform, const Tables& ta
   const std::size_t count = tables.tables.size();
   std::printf("%s on %s: %zu scenarios, %zu table%s, %.2f s\n\n", app.name.c_str(),
               tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
-              static_cast<double>(tables.solve_ms) / 1000);
+              static_cast<double>(tables.solve_us) / 1e6);
   const bool deadlines = std::any_of(app.chains.begin(), app.chains.end(),
                                      [](const ChainSpec& c) { return c.deadline_us.has_value(); });
   std::printf("%s%12s%13s%8s  table\n", row_of("scenario", kOfScenario).c_str(), "worst case",

@@ -23,9 +23,9 @@ constexpr std::size_t kMostName = 24;  // bytes of a name
 constexpr int kLeft = 200, kWidth = 1100, kRight = 20, kRow = 18, kTitle = 46, kGap = 34;
 
 constexpr const char* kStyle = R"(<style>
-  :root { --fg:#1c1f24; --dim:#646b76; --line:#d5d9df; --lane:#f4f5f7 }
-  @media (prefers-color-scheme: dark) { :root { --fg:#e7e9ed; --dim:#9aa2ae; --line:#3a404a; --lane:#22262d } }
-  text { fill:var(--fg) } .dim { fill:var(--dim); font-size:12px } .b { font-weight:650 } .e { text-anchor:end }
+  :root { --fg:#1c1f24; --dim:#646b76; --line:#d5d9df; --lane:#f4f5f7; --back:#fff }
+  @media (prefers-color-scheme: dark) { :root { --fg:#e7e9ed; --dim:#9aa2ae; --line:#3a404a; --lane:#22262d; --back:#14171c } }
+  svg { background:var(--back) } text { fill:var(--fg) } .dim { fill:var(--dim); font-size:12px } .b { font-weight:650 } .e { text-anchor:end }
   .lane { fill:var(--lane) } .grid { stroke:var(--line) } .window { fill-opacity:.25 } .tight { stroke:#D00000; stroke-width:2 }
 </style>
 )";

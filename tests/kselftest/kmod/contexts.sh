@@ -11,7 +11,7 @@ check() { # NAME CONDITION...
 	shift
 	if "$@"; then echo "ok $number $name"; else echo "not ok $number $name"; status=1; fi
 }
-top_says() { ./xauto top --once --interval-ms 50 2>&1 | tr -s "\n " " " >/tmp/top; grep -q "$1" /tmp/top; } # a line
+top_says() { ./xauto top --once --interval 50ms 2>&1 | tr -s "\n " " " >/tmp/top; grep -q "$1" /tmp/top; } # a line
 top_is_silent() { top_says "worst cases" && ! grep -q "$1" /tmp/top; }
 eventually() { # CONDITION...: within 20 s and more
 	tries=100

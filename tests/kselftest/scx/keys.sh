@@ -25,12 +25,12 @@ periodic --app-json >"$dir/app.json"
 periodic --platform-json >"$dir/platform.json"
 periodic --set >"$dir/set"
 # The policy is written by hand; of what `solve` writes only the app's hash is wanted.
-xauto solve --app "$dir/app.json" --platform "$dir/platform.json" --max-evaluations 1 --threads 1 --time-limit-s 60 --out "$dir/any.json" \
+xauto solve --app "$dir/app.json" --platform "$dir/platform.json" --max-evaluations 1 --threads 1 --time-limit 60s --out "$dir/any.json" \
   >"$dir/solve.out" 2>&1
 hash=$(sed -n 's/.*"app_hash": "\([0-9a-f]*\)".*/\1/p' "$dir/any.json")
 [ -n "$hash" ] || sed 's/^/# /' "$dir/solve.out"
 periodic --policy-json "$hash" >"$dir/policy.json"
-xauto run --app "$dir/app.json" --platform "$dir/platform.json" --policy "$dir/policy.json" --real --cpu-sched "$sched" --seconds "$seconds" \
+xauto run --app "$dir/app.json" --platform "$dir/platform.json" --policy "$dir/policy.json" --real --cpu-sched "$sched" --duration "${seconds}s" \
   --overload queue:64 --out "$dir/report.json" -- periodic_cpu --cpus "$cpus" --log "$dir/log" >"$dir/out" 2>"$dir/err"
 status=$?
 ok "$sched: a periodic set runs by keys" [ $status -eq 0 ]

@@ -88,7 +88,7 @@ void print_policy(const std::vector<Task>& tasks, const char* hash) {
   std::printf(
       "{\"schema\": \"xauto.policy\", \"version\": 3, \"app\": \"periodic\", \"app_hash\": "
       "\"%s\",\n"
-      "\"platform\": \"cores\", \"method\": \"deadlines\", \"solve_ms\": 0, \"xnodes\": [%s],\n",
+      "\"platform\": \"cores\", \"method\": \"deadlines\", \"solve_us\": 0, \"xnodes\": [%s],\n",
       hash, rows(tasks, [&](std::size_t, const Task& t) {
               return ".run\", \"xpu\": \"cpu" + std::to_string(t.cpu) + "\", \"key_us\": [" +
                      us(t.period_us) + "]";

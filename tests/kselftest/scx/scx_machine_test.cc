@@ -369,7 +369,7 @@ void many_groups() {
     ktap_skip("many limited cgroups", "to make them takes long: `make check-full` has it");
     return;
   }
-  (void)loaded_world({"--timeout-ms", "30000"});
+  (void)loaded_world({"--timeout", "30s"});
   if (!give_cgroup(all, "max") || !put(all + "/cgroup.subtree_control", "+cpu")) {
     ktap_skip("many limited cgroups", "this kernel has no cpu.max (CONFIG_CFS_BANDWIDTH)");
     return;
@@ -481,7 +481,7 @@ int g_bomb = 2000;
 void fork_bomb() {
   constexpr int kJobs = 200;
   const std::string limited = "/sys/fs/cgroup/bomb";
-  World& world = g_bomb > 2000 ? loaded_world({"--timeout-ms", "30000"}) : loaded_world();
+  World& world = g_bomb > 2000 ? loaded_world({"--timeout", "30s"}) : loaded_world();
   const bool has_limit = give_cgroup(limited, "100000 100000");
   std::atomic<std::int64_t> began_ns{0};
   Waiter waiter(world, 0, [&](const kernel::ThreadSlot&) {
@@ -516,7 +516,7 @@ void share_of_a_crowd() {
   World world(cpus, kCpu);
   for (std::uint32_t i = 0; i < cpus; ++i) world.rows[i].cpu = i;
   world.put_rows();
-  world.load({"--timeout-ms", "4000"});
+  world.load({"--timeout", "4s"});
   std::vector<std::atomic<double>> got(cpus);
   std::atomic<bool> stop{false};
   double share = 0;
@@ -786,7 +786,7 @@ void crowd() {
   World world(cpus, kCpu);
   for (std::uint32_t i = 0; i < cpus; ++i) world.rows[i].cpu = i;
   world.put_rows();
-  world.load({"--timeout-ms", "3000"});
+  world.load({"--timeout", "3s"});
   std::atomic<bool> stop{false};
   std::vector<std::atomic<double>> got(kThreads);
   double hogs = 0;

@@ -90,8 +90,8 @@ void order_of_eight() {
 }
 
 // Nothing but the rule takes the CPU, and the rule is asked often.
-const std::vector<std::string> kShortSlices = {"--slice-us", "1000",     "--floor-permille",
-                                               "0",          "--age-ms", "20000"};
+const std::vector<std::string> kShortSlices = {"--slice", "1ms",   "--floor-permille",
+                                               "0",       "--age", "20s"};
 
 void equal_priorities() {
   constexpr int kThreads = 6;
@@ -271,7 +271,7 @@ void told_while_queued() {
 // dispatch(), and whoever more urgent was queued meanwhile used to wait for seconds.
 void lost_preemption() {
   World world(2, kCpu);
-  world.load({"--slice-us", "100000"});
+  world.load({"--slice", "100ms"});
   std::atomic<bool> stop{false};
   int late = 0;
   double worst = 0;
@@ -355,7 +355,7 @@ void finite_slice() {
 
 void watchdog() {
   World world(2, kCpu);
-  world.load({"--timeout-ms", "2000", "--age-ms", "500"});
+  world.load({"--timeout", "2s", "--age", "500ms"});
   std::atomic<bool> stop{false};
   double ordinary = 0;
   std::atomic<bool> started{false};

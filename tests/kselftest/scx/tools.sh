@@ -46,7 +46,7 @@ drive() { # NAME CPU_SCHED ACTIVATIONS [OPTIONS]: the app's order in NAME.order,
   [ -z "$lacks" ] || return
   name=$1 sched=$2 activations=$3
   shift 3
-  $inside taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period-us 500000 --overload queue:16 \
+  $inside taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period 500ms --overload queue:16 \
     --cpu-sched "$sched" --out "$name.json" "$@" -- driving_cpu --order "$dir/$name.order" >"$name.out" 2>"$name.err"
 }
 
@@ -139,7 +139,7 @@ ok "... with all activations" [ "$(wc -l <nobtf.order)" -eq 4 ]
 # No privilege: somebody else than root.
 chmod 1777 $dir
 su user -s /bin/sh -c "cd $dir && taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 4 \
-  --period-us 500000 --overload queue:16 --cpu-sched ext --out plain.json -- driving_cpu --order $dir/plain.order" >plain.out 2>plain.err
+  --period 500ms --overload queue:16 --cpu-sched ext --out plain.json -- driving_cpu --order $dir/plain.order" >plain.out 2>plain.err
 status=$?
 grep -h "no sched_ext\|SCHED_FIFO" plain.err | sed 's/^/# /'
 ok "without privilege the app runs to its end" [ $status -eq 0 ]
@@ -156,7 +156,7 @@ priorities() { # PROGRAM: of its SCHED_FIFO threads, from stat, fields 40 and 41
 }
 limited "xauto doctor" >doctor.out 2>&1
 ok "what a limit leaves, xauto doctor says" has "SCHED_FIFO permitted up to 24" doctor.out
-limited "taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 7 --period-us 500000 --overload queue:16 --out limited.json \
+limited "taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 7 --period 500ms --overload queue:16 --out limited.json \
   -- driving_cpu --order $dir/limited.order" >limited.out 2>limited.err &
 run=$!
 for _ in $(seq 300); do

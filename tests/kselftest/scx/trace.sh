@@ -3,7 +3,7 @@
 drive traced ext 0 & # until it is stopped
 run=$!
 loaded $run
-xauto top --record trace.jsonl --count 0 --wait-s 30 >trace.txt 2>trace.err &
+xauto top --record trace.jsonl --count 0 --wait 30s >trace.txt 2>trace.err &
 trace=$!
 for _ in $(seq 600); do [ ! -e /sys/fs/bpf/xauto/*/pipe ] || break; sleep 0.1; done
 maps=$(echo /sys/fs/bpf/xauto/*)
@@ -14,7 +14,7 @@ bpftool struct_ops list >struct_ops.txt
 for map in table jobs hist; do # those that are looked at below
   bpftool map dump pinned "$maps/$map" >"dump_$map.txt" 2>&1 || echo "# no dump of $map"
 done
-xauto top --count 2 --interval-ms 800 >top.txt 2>top.err
+xauto top --count 2 --interval 800ms >top.txt 2>top.err
 kill -INT $pipe
 sleep 1
 kill -TERM $(pidof xauto) # the run, and the tracer with it; both end in order

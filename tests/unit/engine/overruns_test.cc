@@ -69,7 +69,7 @@ class OverrunUnderTables : public ::testing::Test {
       xnode.wcet_us = {{"cpu", 60'000'000}, {"npu", 60'000'000}};
     app_.session.app.xnodes[0].wcet_us = {{"cpu", 2'000}};
     app_.session.app.one_at_a_time = true;
-    app_.session.deployment.tables.dwell_ms = 60'000;  // nobody goes back
+    app_.session.deployment.tables.dwell_us = 60'000'000;  // nobody goes back
     slow_.wcet_us["a1"] = {{"cpu", 20'000'000}};
   }
   /// a1 takes `us` in release `at`.

@@ -60,6 +60,38 @@ TEST(XNode, ThePapersFormIsAsItWas) {
   EXPECT_EQ(state.sum, 11);
 }
 
+/// Its camera module: `init` returns what the driver gave, `exec` takes the state.
+TEST(XNode, ThePapersListingCompiles) {
+  int contexts[2] = {};  // what the pointers name is never looked at
+  using CUcontext = CUctx_st*;
+  using cudlaDevHandle = cudlaDevHandle_t*;
+  const auto cuda_init = [&](const XpuId&) { return reinterpret_cast<CUcontext>(&contexts[0]); };
+  const auto cudla_init = [&](const XpuId&) {
+    return reinterpret_cast<cudlaDevHandle>(&contexts[1]);
+  };
+  XNode<Sums> infer("camera.infer");
+  infer.add_impl(XPU::GPU, cuda_init, [](Sums& state) { state.sum += 1; });
+  infer.add_impl(XPU::DLA, cudla_init, [](Sums& state) -> Status {
+    state.sum += 10;
+    return fail(ErrorCode::kIo, "no");
+  });
+  infer.add_impl(
+      XPU::CPU,
+      [&](const XpuId& xpu) { return own(std::make_unique<Engine>(100), cuda_init(xpu)); },
+      [](Engine& engine, Sums& state) { state.sum += engine.step; });
+  auto& impls = XModule<Peek>::impls(infer);
+  std::shared_ptr<void> object;
+  EXPECT_EQ(impls[0].init({}, object), SchedHandle::cuda_context(&contexts[0]));
+  EXPECT_EQ(impls[1].init({}, object), SchedHandle::cudla_device(&contexts[1]));
+  EXPECT_EQ(object, nullptr);
+  EXPECT_EQ(impls[2].init({}, object), SchedHandle::cuda_context(&contexts[0]));
+  Sums state;
+  EXPECT_TRUE(run(impls[0], state));
+  EXPECT_FALSE(run(impls[1], state));
+  EXPECT_TRUE(run(impls[2], state));
+  EXPECT_EQ(state.sum, 111);
+}
+
 TEST(XNode, WhatInitOwnsIsGivenToExec) {
   XNode<Sums> node("x");
   int number = 0;

@@ -270,6 +270,9 @@ TEST(Profile, IncompleteOnesAreReadAsWritten) {
   const auto read = parse_profile(to_json(profile), "profile.json");
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(*read, profile);
+  const auto app = to_app(*read, Platform::builtin("small").value(), WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_EQ(parse_app(to_json(*app), "app.json")->incomplete, "stopped by the user");
 }
 
 TEST(Profile, InstanceThatThePlatformLacksIsNamed) {

@@ -94,7 +94,7 @@ TEST(Auto, IsTheSameForTheSameSeedThreadsAndBudget) {
     auto first = solve(app, platform, options);
     auto second = solve(app, platform, options);
     ASSERT_TRUE(first.has_value() && second.has_value());
-    first->solve_ms = second->solve_ms = 0;
+    first->solve_us = second->solve_us = 0;
     EXPECT_EQ(*first, *second) << threads << " threads";
   }
 }

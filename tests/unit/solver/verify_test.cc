@@ -304,7 +304,7 @@ TEST(Verify, RejectsNumbersThatForgetTheOrder) {
 
 TEST(Verify, RejectsANegativeSolvingTime) {
   Case c = tiny(1);
-  c.policy.solve_ms = -1;
+  c.policy.solve_us = -1;
   EXPECT_TRUE(tells_lie(c, "is no time"));
 }
 

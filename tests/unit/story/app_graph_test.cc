@@ -3,9 +3,11 @@
 // finds each XNode and each arrow: tests/integration/graph_test.py.
 #include "story/app_graph.h"
 
+#include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <set>
+#include <sstream>
 
 #include <gtest/gtest.h>
 
@@ -94,6 +96,51 @@ TEST(AppGraph, NothingIsDrawnOverSomethingElse) {
   EXPECT_EQ(places.size(), nodes);
 }
 
+/// A stretch of a path "M x y H x V y ..." that sampling draws, against every node.
+TEST(AppGraph, WhatIsSampledIsSeen) {
+  const auto app = load_app(std::string(XAUTO_SOURCE_DIR) + "/examples/driving/rates.json");
+  ASSERT_TRUE(app) << app.error().to_string();
+  ASSERT_FALSE(app->samples.empty());
+  const std::string svg = graph_svg(*app, {});
+  struct Box {
+    int x, y, right, bottom;
+  };
+  std::vector<Box> nodes;
+  for (std::size_t at = svg.find("<rect "); at != std::string::npos;
+       at = svg.find("<rect ", at + 1)) {
+    int x = 0, y = 0, width = 0, height = 0;
+    const std::string tag = svg.substr(at, svg.find('>', at) - at);
+    if (tag.find("class=\"node") == std::string::npos) continue;
+    ASSERT_EQ(std::sscanf(tag.c_str(), R"(<rect x="%d" y="%d" width="%d" height="%d")", &x, &y,
+                          &width, &height),
+              4);
+    nodes.push_back({x, y, x + width, y + height});
+  }
+  EXPECT_EQ(nodes.size(), app->xnodes.size() + app->sources.size());
+  std::size_t lines = 0;
+  for (std::size_t at = svg.find("<path d=\"M"); at != std::string::npos;
+       at = svg.find("<path d=\"M", at + 1)) {
+    const std::string tag = svg.substr(at, svg.find('>', at) - at);
+    if (tag.find("sample") == std::string::npos) continue;
+    ++lines;
+    std::istringstream path(tag.substr(10, tag.find('"', 10) - 10));
+    int x = 0, y = 0, to = 0;
+    path >> x >> y;
+    for (char along = 0; path >> along >> to;) {
+      const Box line = along == 'H' ? Box{std::min(x, to), y, std::max(x, to), y}
+                                    : Box{x, std::min(y, to), x, std::max(y, to)};
+      for (const Box& n : nodes)
+        EXPECT_FALSE(line.x < n.right && line.right > n.x && line.y < n.bottom && line.bottom > n.y)
+            << tag << " crosses the node at " << n.x << " " << n.y;
+      (along == 'H' ? x : y) = to;
+    }
+  }
+  EXPECT_EQ(lines, app->samples.size());
+  for (const auto& [u, v] : app->samples)
+    EXPECT_NE(svg.find("samples " + app->xnodes[static_cast<std::size_t>(u)].name),
+              std::string::npos);
+}
+
 TEST(AppGraph, APictureIsBounded) {
   AppSpec app;
   app.name = "large";
@@ -104,7 +151,7 @@ TEST(AppGraph, APictureIsBounded) {
     for (int u = std::max(0, i - 20); u < i; ++u) app.edges.emplace_back(u, i);
   }
   const std::string svg = graph_svg(app, {});
-  EXPECT_EQ(count(svg, "<path d=\"M"), kMostLines + 1);  // and the arrow's own
+  EXPECT_EQ(count(svg, "<path d=\"M"), kMostLines + 2);  // and two arrowheads
   EXPECT_LE(count(svg, "<rect"), 2 * kMostDrawn + 3);
   EXPECT_NE(svg.find("drawn are 400 of 2000 XNodes, 4000 of 39791 arrows"), std::string::npos);
   EXPECT_LT(svg.size(), std::size_t{8} << 20);
