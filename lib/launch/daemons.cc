@@ -26,7 +26,7 @@ namespace {
 constexpr int kReadyTimeoutMs = 10'000;
 constexpr int kEarlyGraceMs = 2'000;
 constexpr int kMaxSharedRestarts = 100'000;  ///< runs come and go
-constexpr int kStartAttempts = 5;  ///< in a row
+constexpr int kStartAttempts = 5;            ///< in a row
 
 /// Starts a daemon and waits until it says that its socket is there.
 Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
@@ -71,7 +71,8 @@ std::vector<std::string> socket_names(const runtime::Session& session) {
   std::vector<std::string> names;
   if (session.emulates()) names.emplace_back(kEmudName);
   if (session.mode == runtime::Mode::kRun && session.scheduling == runtime::Scheduling::kXAuto)
-    for (const Xpu& xpu : session.platform.xpus) names.push_back(xpu.id);
+    for (const Xpu& xpu : session.platform.xpus)
+      if (!session.shares(xpu.id)) names.push_back(xpu.id);
   return names;
 }
 
@@ -158,6 +159,12 @@ void Daemons::end_shared(const std::string& hardware) {
   daemons_.erase(found);
 }
 
+pid_t Daemons::pid_of(const std::string& hardware) const {
+  for (const Daemon& daemon : daemons_)
+    if (daemon.name == name_of_coordinator(hardware)) return daemon.child.pid();
+  return 0;
+}
+
 bool Daemons::idle(const std::string& hardware) const {
   const auto found = std::find_if(daemons_.begin(), daemons_.end(), [&](const Daemon& daemon) {
     return daemon.name == name_of_coordinator(hardware);
@@ -190,7 +197,8 @@ bool Daemons::restart(Daemon& daemon, const Exit& exit) {
   ++deaths_;
   Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
   // One that dies while it starts is followed, too, but not for ever.
-  for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= daemon.most_restarts; ++attempt) {
+  for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= daemon.most_restarts;
+       ++attempt) {
     ++daemon.starts;
     child = start_daemon(daemon.name, daemon.options);
     if (child || child.error().code != ErrorCode::kUnavailable) break;

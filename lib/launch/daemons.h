@@ -26,7 +26,8 @@ namespace xauto::launch {
 /// Between SIGTERM and SIGKILL.
 inline constexpr int kGraceMs = 2'000;
 
-inline constexpr int kMaxRestarts = 100;  ///< of one daemon of a run; then it stays dead, see supervisor.h
+inline constexpr int kMaxRestarts =
+    100;  ///< of one daemon of a run; then it stays dead, see supervisor.h
 
 /// Names of sockets that are no coordinator's; those have their XPUs'.
 inline constexpr const char* kHubName = "hub";
@@ -55,6 +56,8 @@ class Daemons {
   [[nodiscard]] Result<UniqueFd> start_shared(const std::string& hardware, Discipline discipline,
                                               int levels);
   void end_shared(const std::string& hardware);
+  /// Of that shared one; 0: there is none.
+  [[nodiscard]] pid_t pid_of(const std::string& hardware) const;
   /// No job has that XPU, or wants it.
   [[nodiscard]] bool idle(const std::string& hardware) const;
 

@@ -7,6 +7,7 @@
 
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "base/socket.h"
 #include "processes/marks.h"
 #include "xpu/kind.h"
@@ -14,6 +15,8 @@
 namespace xauto::launch {
 namespace {
 
+constexpr std::int64_t kAgainNs = 50'000'000;
+constexpr int kStatusMs = 2'000;
 constexpr int kAnswerMs = 60'000;  ///< the test of many jobs takes its time
 
 Result<UniqueFd> connect_to_service(const std::string& path) {
@@ -43,7 +46,31 @@ std::vector<JoinXpu> shareable_xpus(const runtime::Session& session) {
   return found;
 }
 
+Result<Json> ask_who_is_there(const std::string& path) {
+  XAUTO_ASSIGN(const UniqueFd socket, connect_to_service(path));
+  const auto ask = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
+  XAUTO_TRY(send_packet(socket.get(), &ask, sizeof ask));
+  if (!wait_readable(socket.get(), kStatusMs))
+    return fail(ErrorCode::kTimeout, "did not answer", path);
+  std::string text(coord::kMaxStatusBytes, '\0');
+  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size()));
+  text.resize(size);
+  auto told = Json::parse(text);
+  if (!told) return fail(ErrorCode::kUnavailable, "answered with something else than JSON", path);
+  return *std::move(told);
+}
+
 Result<SystemLease> SystemLease::ask(const LeaseRequest& request) {
+  const std::int64_t until = now_ns() + kGiveBackNs;
+  for (;;) {
+    bool later = false;
+    auto lease = ask_once(request, later);
+    if (lease || !later || now_ns() > until) return lease;
+    sleep_until_ns(now_ns() + kAgainNs);
+  }
+}
+
+Result<SystemLease> SystemLease::ask_once(const LeaseRequest& request, bool& later) {
   if (request.demand.empty() || request.demand.size() > kMaxDemandBytes)
     return fail(ErrorCode::kInvalid,
                 "the demand has " + std::to_string(request.demand.size()) + " bytes, not 1.." +
@@ -74,6 +101,7 @@ Result<SystemLease> SystemLease::ask(const LeaseRequest& request) {
   if (size == sizeof answer &&
       answer.kind == static_cast<std::uint32_t>(SystemWord::kNotAdmitted)) {
     answer.reason[sizeof answer.reason - 1] = '\0';
+    later = answer.later == 1;
     return fail(ErrorCode::kInfeasible, std::string("is not admitted: ") + answer.reason,
                 request.app, "`xauto top` shows who is there; `xauto solve --beside` plans for it");
   }

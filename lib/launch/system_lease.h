@@ -12,9 +12,12 @@
 #include "base/unique_fd.h"
 #include "coord/door.h"
 #include "launch/system_protocol.h"
+#include "model/json_value.h"
 #include "session/session.h"
 
 namespace xauto::launch {
+
+inline constexpr std::int64_t kGiveBackNs = 5'000'000'000;
 
 struct LeaseRequest {
   std::string path = kSystemSocket;
@@ -28,10 +31,15 @@ struct LeaseRequest {
 /// ext) is none. After decide_cpu_by_keys().
 [[nodiscard]] std::vector<JoinXpu> shareable_xpus(const runtime::Session& session);
 
+/// Who is there, as the service says: `apps` with app, uid, first_xnode, xnodes and xpus, `coordinators` with xpu, pid
+/// and discipline. Errors as below.
+[[nodiscard]] Result<Json> ask_who_is_there(const std::string& path);
+
 class SystemLease {
  public:
   /// kNotFound: nobody serves there; kPermission: this user may not ask; kInfeasible: it does not fit to those who are
   /// there, and how.
+  /// What somebody has left and not given back yet is waited for, kGiveBackNs at most.
   [[nodiscard]] static Result<SystemLease> ask(const LeaseRequest& request);
 
   /// Address of the coordinator of `hardware`, for Session::coordinators.
@@ -40,6 +48,8 @@ class SystemLease {
   [[nodiscard]] int fd() const { return socket_.get(); }
 
  private:
+  [[nodiscard]] static Result<SystemLease> ask_once(const LeaseRequest& request, bool& later);
+
   UniqueFd socket_;
   std::string path_;
   coord::Lease lease_;

@@ -56,7 +56,9 @@ struct Admitted {
 
 struct NotAdmitted {
   std::uint32_t kind = static_cast<std::uint32_t>(SystemWord::kNotAdmitted);
-  char reason[1020] = {};
+  std::uint32_t later =
+      0;  ///< 1: only what those have not given back yet that have left is in the way
+  char reason[1016] = {};
 };
 
 static_assert(std::is_trivially_copyable_v<Join> &&

@@ -182,13 +182,15 @@ bool SystemService::take_piece(Guest& guest, const std::string& piece) {
   guest.demand += piece;
   if (guest.demand.size() < guest.join->demand_bytes) return piece.size() == kDemandPiece;
   if (guest.demand.size() > guest.join->demand_bytes) return false;
-  const auto number = admit(guest);
+  bool later = false;
+  const auto number = admit(guest, later);
   if (!number) {
-    NotAdmitted answer;
+    NotAdmitted answer{.later = later ? 1u : 0u};
     std::strncpy(answer.reason, number.error().what.c_str(), sizeof answer.reason - 1);
     (void)send_packet(guest.socket.get(), &answer, sizeof answer);
-    log::info("app '{}'{} was not admitted: {}", guest.join->app, of_uid(guest.uid),
-              number.error().what);
+    if (!later)
+      log::info("app '{}'{} was not admitted: {}", guest.join->app, of_uid(guest.uid),
+                number.error().what);
     return false;
   }
   Leased& lease = leases_.at(*number);
@@ -202,7 +204,8 @@ bool SystemService::take_piece(Guest& guest, const std::string& piece) {
   return false;
 }
 
-Result<std::uint32_t> SystemService::admit(Guest& guest) {
+/// `later`: it is refused for what those have not given back yet that have left.
+Result<std::uint32_t> SystemService::admit(Guest& guest, bool& later) {
   const Join& join = *guest.join;
   Leased lease{.uid = guest.uid, .num_xnodes = join.num_xnodes, .tenant = {}};
   lease.tenant = {.app = join.app, .demand = std::move(guest.demand), .hardware = {}};
@@ -211,8 +214,13 @@ Result<std::uint32_t> SystemService::admit(Guest& guest) {
   std::vector<const Tenant*> there;
   for (const auto& [number, other] : leases_) there.push_back(&other.tenant);
   forget_departed();
-  for (const Departed& other : departed_) there.push_back(&other.tenant);
   XAUTO_TRY(options_.admission(there, lease.tenant));
+  for (const Departed& other : departed_) there.push_back(&other.tenant);
+  if (!departed_.empty()) {
+    Status still = options_.admission(there, lease.tenant);
+    later = !still.has_value();
+    if (later) return tl::unexpected<Error>(std::move(still).error());
+  }
   const auto first = room_for(join.num_xnodes);
   if (!first) return fail(ErrorCode::kUnavailable, "the runs that are there have too many XNodes");
   lease.first_xnode = *first;
@@ -316,7 +324,12 @@ std::string SystemService::status() const {
                     {"xnodes", lease.num_xnodes},
                     {"xpus", xpus}});
   }
-  return Json({{"apps", apps}, {"notes", notes_}}).dump();
+  Json coordinators = Json::array();
+  for (const auto& [hardware, shared] : shared_)
+    coordinators.push_back({{"xpu", hardware},
+                            {"pid", daemons_.pid_of(hardware)},
+                            {"discipline", to_string(shared.discipline)}});
+  return Json({{"apps", apps}, {"coordinators", coordinators}}).dump();
 }
 
 /// One that nobody uses any more has no coordinator.

@@ -90,7 +90,7 @@ class SystemService {
   [[nodiscard]] bool hear_guest(Guest& guest);
   [[nodiscard]] bool take_piece(Guest& guest, const std::string& piece);
   [[nodiscard]] Status fault_of(const Join& join) const;
-  [[nodiscard]] Result<std::uint32_t> admit(Guest& guest);
+  [[nodiscard]] Result<std::uint32_t> admit(Guest& guest, bool& later);
   [[nodiscard]] Status share(const Join& join);
   [[nodiscard]] std::optional<std::uint32_t> room_for(std::uint32_t num_xnodes) const;
   void hand_on(UniqueFd worker, const coord::Attach& attach);

@@ -17,8 +17,8 @@ inline constexpr std::int64_t kEmulatorStallUs = 1000;
 /// the order of one XNode's activations are not kept, or somebody else uses an XPU, it says nothing.
 inline constexpr const char* kKeyScope =
     "every release, once each XNode that samples has started, within the app's WCETs, transfers, "
-    "jitters and clock tolerances, where each XPU serves this app alone, by the policy's keys and "
-    "holds";
+    "jitters and clock tolerances, where each XPU serves this app alone, or apps that were tested "
+    "with it, by the policy's keys and holds";
 /// The same where no source has a rate.
 inline constexpr const char* kOneAtATimeScope =
     "every release, let in when the one before has ended, within the app's WCETs and transfers, "

@@ -152,7 +152,7 @@ std::vector<Policy> split_policy(const std::vector<AppSpec>& apps, const Policy&
     part.platform = policy.platform;
     part.method = policy.method;
     part.certified = policy.certified;
-    part.solve_ms = policy.solve_ms;
+    part.solve_us = policy.solve_us;
     const auto first = static_cast<int>(xnode), last = first + static_cast<int>(app.xnodes.size());
     for (; at(last) > xnode; ++xnode) part.placements.push_back(policy.placements[xnode]);
     for (std::size_t c = 0; c < app.chains.size() && !policy.chains.empty(); ++c, ++chain) {

@@ -54,7 +54,8 @@ std::vector<std::string> marks_of(const Session& session) {
   std::vector<std::string> marks;
   if (session.mode != Mode::kRun) return marks;
   for (const RealXpu& xpu : real_xpus_of(session))
-    if (!xpu.hardware.empty()) marks.push_back(kMark + xpu.hardware + (xpu.shared ? kSharedMark : ""));
+    if (!xpu.hardware.empty())
+      marks.push_back(kMark + xpu.hardware + (xpu.shared ? kSharedMark : ""));
   std::sort(marks.begin(), marks.end());
   marks.erase(std::unique(marks.begin(), marks.end()), marks.end());
   return marks;

@@ -16,11 +16,12 @@ bool EarlyStart::may_be(const Context& context) {
   const Session& session = context.session;
   return context.scheduled() && session.keys && !session.tables && !session.releases.lockstep &&
          !session.app.one_at_a_time && session.releases.input.empty() &&
-         context.plan.processes == 1 && !session.shares();
+         context.plan.processes == 1;
 }
 
 Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const Platform& platform,
-                                                     const Policy& policy) {
+                                                     const Policy& policy,
+                                                     const std::vector<bool>& shared) {
   const std::size_t n = app.xnodes.size();
   XAUTO_ASSIGN(const Components components, find_components(app));
   auto made = std::unique_ptr<EarlyStart>(new EarlyStart(n, app.sources.size()));
@@ -55,6 +56,7 @@ Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const P
     EarlyRule& rule = e.rules_[x];
     const int on = policy.placements[x].xpu;
     const Xpu& xpu = platform.xpus[at(on)];
+    rule.never = shared[at(on)] && ((xpu.preemptive && xpu.preempt_us > 0) || xpu.levels > 0);
     if (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0)
       for (std::size_t y = 0; y < n; ++y)
         if (y != x && policy.placements[y].xpu == on) rule.mates.push_back(static_cast<int>(y));

@@ -8,8 +8,8 @@
 // only moves on.
 //
 // The modules are in one process, and releases have the numbers of a grid. Where that is not so there is no early start
-// in the run at all (`may_be`), and holds are waited for to their end. So it is beside other runs on shared XPUs: of
-// their jobs nobody here knows whether they have ended. What we release ourselves comes when it is due.
+// in the run at all (`may_be`), and holds are waited for to their end. So they are on an XPU that other runs may use as
+// well and where preempting costs: nobody here knows their keys to come. What we release ourselves comes when it is due.
 // Of a sensor that publishes by itself the next releases are no sooner than its clock's tolerance allows, counted from
 // the last one.
 #pragma once
@@ -40,6 +40,7 @@ struct EarlyRule {
   /// The others on its XPU; none where taking it from another costs nothing.
   std::vector<int> mates;
   std::vector<Sample> samples;  ///< what it reads
+  bool never = false;           ///< it waits to the end
 };
 
 /// Of the first activation of an XNode that has not ended, at the earliest.
@@ -57,6 +58,7 @@ struct PlannedJob {
 /// Whether it may start before its planned start. Pure; `first_open(xnode)` is a FirstOpen.
 template <class Of>
 [[nodiscard]] bool may_start_early(const EarlyRule& rule, const PlannedJob& job, Of first_open) {
+  if (rule.never) return false;
   for (const int x : rule.mates)
     if (first_open(x).key <= job.key) return false;
   for (const EarlyRule::Sample& sample : rule.samples) {
@@ -72,10 +74,11 @@ class EarlyStart {
  public:
   /// Out of the session alone.
   [[nodiscard]] static bool may_be(const Context& context);
-  /// Of a policy that validate() takes.
+  /// Of a policy that validate() takes. `shared`: [XPU] other runs may use it, too.
   [[nodiscard]] static Result<std::unique_ptr<EarlyStart>> make(const AppSpec& app,
                                                                 const Platform& platform,
-                                                                const Policy& policy);
+                                                                const Policy& policy,
+                                                                const std::vector<bool>& shared);
 
   /// What stands in the place of holds.
   [[nodiscard]] const PlannedStarts& planned_us() const { return planned_us_; }

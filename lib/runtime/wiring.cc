@@ -44,7 +44,9 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
     w.held_up_ = std::make_unique<HeldUp>(context, placing);
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
   if (EarlyStart::may_be(context)) {
-    XAUTO_ASSIGN(w.early_, EarlyStart::make(session.app, session.platform, *session.keys));
+    std::vector<bool> shared;
+    for (const Xpu& xpu : session.platform.xpus) shared.push_back(session.shares(xpu.id));
+    XAUTO_ASSIGN(w.early_, EarlyStart::make(session.app, session.platform, *session.keys, shared));
   }
   w.crews_ = std::vector<Crew>(session.platform.xpus.size());
   for (std::size_t m = 0; m < modules; ++m) {

@@ -149,9 +149,10 @@ void fields(Io io, T& x) {
 template <class Io, Is<Session> T>
 void fields(Io io, T& x) {
   io("mode", x.mode, "scheduling", x.scheduling, "cpu", x.cpu, "presence", x.presence,
-     "emulator_modules", x.emulator_modules, "coordinators", x.coordinators, "own_sockets", x.own_sockets, "releases", x.releases,
-     "profile", x.profile, "load", x.load, "parts", x.parts, "answer_fd", x.answer_fd, "trace_fd",
-     x.trace_fd, "board_fd", x.board_fd, "trace_keep_s", x.trace_keep_s);
+     "emulator_modules", x.emulator_modules, "coordinators", x.coordinators, "own_sockets",
+     x.own_sockets, "releases", x.releases, "profile", x.profile, "load", x.load, "parts", x.parts,
+     "answer_fd", x.answer_fd, "trace_fd", x.trace_fd, "board_fd", x.board_fd, "trace_keep_s",
+     x.trace_keep_s);
 }
 
 constexpr Mode last(Mode) {

@@ -172,9 +172,10 @@ Status check_together(const std::vector<Demand>& demands) {
                                         [](const DemandOnXpu& other) { return other.xpu.id; });
       if (on == demand.xpus.end()) continue;
       if (on->xpu != wanted.xpu)
-        return fail(ErrorCode::kInvalid,
-                    "one app has it that it preempts, at what cost, or its levels otherwise than another",
-                    "XPU " + wanted.xpu.id, "plan both apps for one platform.json");
+        return fail(
+            ErrorCode::kInvalid,
+            "one app has it that it preempts, at what cost, or its levels otherwise than another",
+            "XPU " + wanted.xpu.id, "plan both apps for one platform.json");
       all.demands.push_back({demand.ticks_per_us, {*on}});
     }
     XAUTO_TRY(checking::prove_together(wanted.xpu, ticks, all));

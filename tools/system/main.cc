@@ -45,7 +45,8 @@ xauto::Result<xauto::UniqueFd> listener(const std::string& path) {
 
 /// The demand, with XPUs called as those of the machine are.
 xauto::Result<xauto::Demand> demand_here(const xauto::launch::Tenant& tenant) {
-  XAUTO_ASSIGN(xauto::Demand demand, xauto::parse_demand(tenant.demand, "app '" + tenant.app + "'"));
+  XAUTO_ASSIGN(xauto::Demand demand,
+               xauto::parse_demand(tenant.demand, "app '" + tenant.app + "'"));
   std::erase_if(demand.xpus, [&](const xauto::DemandOnXpu& on) {
     return !tenant.hardware.contains(on.xpu.id);  // emulated, or the kernel's
   });
@@ -74,8 +75,8 @@ xauto::Status admits(const std::vector<const xauto::launch::Tenant*>& there,
 
 int main(int argc, char** argv) {
   xauto::open_standard_streams();
-  xauto::cli::Program cli(
-      "One coordinator per XPU instance of the machine, for all runs that ask.", "xauto-system");
+  xauto::cli::Program cli("One coordinator per XPU instance of the machine, for all runs that ask.",
+                          "xauto-system");
   std::string path = xauto::launch::kSystemSocket;
   cli.option("--socket", path, "where to listen, unless systemd has the socket").shown();
   cli.version("xauto-system " XAUTO_VERSION);
@@ -83,9 +84,8 @@ int main(int argc, char** argv) {
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
   auto socket = listener(path);
   if (!socket) return complain(socket.error());
-  xauto::launch::SystemService service({.bin = xauto::program_directory(),
-                                        .listener = std::move(*socket),
-                                        .admission = admits});
+  xauto::launch::SystemService service(
+      {.bin = xauto::program_directory(), .listener = std::move(*socket), .admission = admits});
   service.run(stop.get());
   return 0;
 }

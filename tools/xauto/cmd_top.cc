@@ -16,6 +16,8 @@
 
 #include "base/clock.h"
 #include "base/columns.h"
+#include "base/utf8.h"
+#include "launch/system_lease.h"
 #include "model/json_value.h"
 
 #include "xauto/asking.h"
@@ -37,6 +39,7 @@ struct TopFlags {
   std::string run, record;
   int interval_ms = 1000, count = -1, wait_s = 0;
   bool once = false;
+  std::string system = launch::kSystemSocket;
 };
 
 bool goes_on(const std::string& run) {
@@ -51,12 +54,19 @@ void wait_until(Clock::time_point until, const Ends& ends) {
     std::this_thread::sleep_for(std::chrono::milliseconds(kPollMs));
 }
 
-void show(std::span<const ShownRun> runs, const std::vector<Unseen>& unseen) {
+/// What xauto-system says; null: nobody listens there, or not to this user.
+Json machine(const TopFlags& flags) {
+  return launch::ask_who_is_there(flags.system).value_or(Json());
+}
+
+void show(std::span<const ShownRun> runs, const std::vector<Unseen>& unseen, const Json& machine) {
   Json shown = Json::array(), others = Json::array();
   for (const ShownRun& run : runs) shown.push_back(json_of(run));
   for (const Unseen& one : unseen)
     others.push_back({{"pid", one.pid}, {"user", user_name(one.uid)}, {"why", words_of(one)}});
-  std::cout << Json{{"runs", std::move(shown)}, {"unseen", std::move(others)}}.dump() << std::endl;
+  Json all{{"runs", std::move(shown)}, {"unseen", std::move(others)}};
+  if (!machine.is_null()) all["machine"] = machine;
+  std::cout << all.dump() << std::endl;
 }
 
 /// One run, named or the only one, with what the kernel knows of it.
@@ -95,7 +105,7 @@ class OneRun {
       if (last && times > 0) break;  // the first is shown in any case: its counts are there
       run_.now = look();
       if (json_)
-        cli::show({&run_, 1}, {});
+        cli::show({&run_, 1}, {}, {});
       else
         std::cout << (terminal && count != 1 ? "\x1b[H\x1b[2J" : "") << text_of(run_, count == 1)
                   << std::flush;
@@ -177,15 +187,29 @@ struct AllRuns {
     return list;
   }
   /// Coordinators that did not answer.
-  [[nodiscard]] std::vector<Unseen> unseen() const {
+  [[nodiscard]] std::vector<Unseen> unseen(const Json& machine) const {
     std::set<int> answered;
+    for (const Json& one : machine.at("coordinators").elements())
+      answered.insert(static_cast<int>(one.at("pid").integer().value_or(0)));
     for (const auto& [name, of] : coordinated)
       for (const XpuStatus& xpu : of.xpus) answered.insert(static_cast<int>(xpu.pid));
     return coordinators_but(answered);
   }
 };
 
-void print(const std::vector<ShownRun>& runs, const std::vector<Unseen>& unseen) {
+/// "  together: drive (uid 1000) on core0, gpu0"
+std::string words_of_app(const Json& app) {
+  std::vector<std::string> xpus;
+  for (const Json& xpu : app.at("xpus").elements())
+    xpus.push_back(for_terminal(xpu.text().value_or("?"), false));
+  return fmt::format("  together: {} (uid {}) on {}\n",
+                     for_terminal(app.at("app").text().value_or("?"), false),
+                     app.at("uid").integer().value_or(-1), fmt::join(xpus, ", "));
+}
+
+void print(const std::vector<ShownRun>& runs, const std::vector<Unseen>& unseen,
+           const Json& machine) {
+  for (const Json& app : machine.at("apps").elements()) std::cout << words_of_app(app);
   if (runs.empty())
     std::cout << wrapped(unseen.empty()
                              ? "no app is running under XAuto, as far as can be seen from here: in "
@@ -208,10 +232,11 @@ Result<int> show_all(const TopFlags& flags, int count, bool json) {
     wait_until(Clock::now() + std::chrono::milliseconds(flags.interval_ms), stopped);
     if (stopped() && times > 0) break;
     AllRuns now = AllRuns::now();
+    const Json there = machine(flags);
     if (json)
-      show(now.shown(before), now.unseen());
+      show(now.shown(before), now.unseen(there), there);
     else
-      print(now.shown(before), now.unseen());
+      print(now.shown(before), now.unseen(there), there);
     before = std::move(now);
   }
   return kDone;
@@ -252,6 +277,7 @@ void add_top(Commands& commands) {
       "--record", flags->record,
       "meanwhile record what the kernel does with the run's threads, with BPF: FILE.pftrace for "
       "Perfetto's viewers, else a JSON object per line");
+  verb.option("--system", flags->system, "of all runs: the socket of xauto-system").shown();
   verb.duration("--wait", flags->wait_s, Unit::kSeconds, 0, kYearS,
                 "how long to wait for a run to begin");
 }

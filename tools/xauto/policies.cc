@@ -64,13 +64,14 @@ std::string shape(const AppSpec& app) {
 
 /// Whom worst cases are for.
 std::string scope(const Apps& apps, bool beside) {
-  constexpr std::string_view kAlone = "this app alone";
+  constexpr std::string_view kAlone = "this app alone, or apps that were tested with it";
   std::string text = scope_of(apps.all.one_at_a_time);
   if (const std::size_t at = text.find(kAlone);
       (apps.several() || beside) && at != std::string::npos)
     text.replace(at, kAlone.size(),
                  std::string(apps.several() ? "these apps" : "this app") +
-                     (beside ? ", those of the demands, and nobody else" : " alone"));
+                     (beside ? ", those of the demands, and nobody else"
+                             : " alone, or apps that were tested with them"));
   return text;
 }
 

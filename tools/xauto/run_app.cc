@@ -210,8 +210,7 @@ void warn_of_others(const launch::Supervision& request) {
               holder.hardware);
     alone = false;
   }
-  if (!alone)
-    log::hint("with xauto-system both would be asked whether they fit: docs/together.md");
+  if (!alone) log::hint("with xauto-system both would be asked whether they fit: docs/together.md");
 }
 
 /// Joins the machine's coordinators where there are some and the policy says what it demands.
@@ -219,16 +218,20 @@ Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& 
   runtime::Session& session = request.session;
   const std::string path = flags.system.empty() ? launch::kSystemSocket : flags.system;
   std::error_code error;
+  const bool asked = !flags.system.empty() && flags.system != "off";
+  if (asked && run.scheduling != runtime::Scheduling::kXAuto)
+    return fail(ErrorCode::kInvalid, "is for a run that XAuto schedules", "--system");
   if (flags.system == "off" || run.scheduling != runtime::Scheduling::kXAuto ||
-      (flags.system.empty() && !std::filesystem::exists(path, error)))
+      (!asked && !std::filesystem::exists(path, error)))
     return {};
   launch::decide_cpu_by_keys(session);
   const std::vector<launch::JoinXpu> xpus = launch::shareable_xpus(session);
   if (xpus.empty()) return {};
   const bool says = run.keys && run.keys->certified && !run.tables;
-  if (!says && flags.system.empty()) {
-    log::warn("does not join {}: {} what it demands; it brings coordinators of its own", path,
-              run.tables ? "nobody can say of tables" : "a policy without a certificate does not say");
+  if (!says && !asked) {
+    log::warn(
+        "does not join {}: {} what it demands; it brings coordinators of its own", path,
+        run.tables ? "nobody can say of tables" : "a policy without a certificate does not say");
     return {};
   }
   if (!says)

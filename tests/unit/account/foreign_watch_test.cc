@@ -68,7 +68,7 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
   session.platform = Platform{"p", {{"cpu0", "cpu"}, {"gpu0", "gpu"}, {"dla0", "dla"}}};
   session.presence = {Presence::kReal, Presence::kReal, Presence::kEmulated};
   session.policy.placements = {{0}, {1}, {2}};
-  session.coordinators["gpu0"] = "xauto/1-0/aa/gpu0";
+  session.own_sockets = "xauto/1-0/aa/";
   const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 3});
   const std::string core = real_xpus_of(session)[0].hardware;
   const std::string run = std::to_string(getpid()) + "-77";
@@ -85,6 +85,26 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
   EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of uid "), std::string::npos);
   EXPECT_EQ(board->xpu(1).words_of_sharing(), "");  // it is ours
   EXPECT_EQ(board->xpu(2).words_of_sharing(), "");  // ours is emulated
+}
+
+/// Who shares an XPU under the machine's coordinator was admitted; to a run with a coordinator of its own he is a stranger.
+TEST(ForeignWatch, WhoIsAdmittedIsNoStranger) {
+  Session session;
+  session.platform = Platform{"p", {{"gpu0", "gpu"}, {"gpu1", "gpu"}}};
+  session.policy.placements = {{0}, {1}};
+  session.own_sockets = "xauto/1-0/aa/";
+  session.coordinators = {{"gpu0", "/run/xauto/coordinator.sock?1?2?0?2?gpu0"},
+                          {"gpu1", "xauto/1-0/aa/gpu1"}};
+  EXPECT_EQ(marks_of(session), (Names{"real:gpu0+", "real:gpu1"}));
+  const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 2});
+  const std::string run = "xauto/" + std::to_string(getpid()) + "-78/cc/";
+  const auto admitted = hold_abstract(run + "real:gpu0+"),
+             stranger = hold_abstract(run + "real:gpu1+");
+  ASSERT_TRUE(admitted && stranger);
+  ForeignWatch watch(session, *board, true);
+  watch.look(2'000'000'000);
+  EXPECT_EQ(board->xpu(0).words_of_sharing(), "");
+  EXPECT_NE(board->xpu(1).words_of_sharing(), "");
 }
 
 /// Two apps on one machine share nothing where their policies place nothing on the same core.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The machine's service with real coordinators, and workers of several runs at them.
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cstring>
@@ -30,8 +31,9 @@ constexpr std::int64_t kPatienceNs = 20'000'000'000;
 
 void wait_for(const std::function<bool()>& done) {
   const std::int64_t until = now_ns() + kPatienceNs;
-  while (!done() && now_ns() < until) usleep(1000);
-  EXPECT_TRUE(done());
+  bool is = done();
+  for (; !is && now_ns() < until; is = done()) usleep(1000);
+  EXPECT_TRUE(is);
 }
 
 /// Admits all but those whose demand is "too much".
@@ -191,6 +193,36 @@ TEST(System, WhoIsRefusedIsToldWhyAndDisturbsNobody) {
   worker.port().start(job(0, 0, 1));
   worker.port().finish();
   EXPECT_EQ(service.status().at("apps").elements().size(), 1u);
+}
+
+/// docs/keys.md, "Apps compose": a share is free when its XPUs have been idle since. Here one is admitted at a time.
+TEST(System, WhoComesWaitsUntilWhoLeftHasGivenBackWhatHeHad) {
+  std::atomic<int> refused{0};
+  const Service service(
+      [&](const std::vector<const Tenant*>& there, const Tenant& comes) -> Status {
+        const auto big = [](const Tenant* one) { return one->demand == "big"; };
+        if (comes.demand != "big" || std::none_of(there.begin(), there.end(), big)) return {};
+        ++refused;
+        return fail(ErrorCode::kInfeasible, "core0 is full");
+      });
+  const auto small = service.lease("small", "small");
+  ASSERT_TRUE(small);
+  Worker worker(*small, 0);
+  worker.port().start(job(0, 0, 1));  // core0 is not idle
+  {
+    const auto first = service.lease("first", "big");
+    ASSERT_TRUE(first);
+  }
+  std::thread ends([&] {
+    wait_for([&] { return refused.load() >= 8; });
+    worker.port().finish();
+  });
+  const std::int64_t begun = now_ns();
+  const auto second = service.lease("second", "big");
+  EXPECT_TRUE(second) << second.error().to_string();
+  EXPECT_GE(refused.load(), 8);
+  EXPECT_LT(now_ns() - begun, kGiveBackNs);
+  ends.join();
 }
 
 TEST(System, RunsHaveXNodesOfTheirOwn) {

@@ -55,10 +55,11 @@ class EarlyExample {
   void urgent(int source, std::int64_t by_us) {
     app_.sources[at(source)].urgent = UrgentSpec{by_us, 1'000'000};
   }
+  void share(const std::string& xpu) { shared_[at(platform_.find(xpu))] = true; }
   EarlyStart& made() {
     if (!early_) {
       complete_modules(app_);
-      early_ = EarlyStart::make(app_, platform_, policy_).value();
+      early_ = EarlyStart::make(app_, platform_, policy_, shared_).value();
       begin(kBegin);
     }
     return *early_;
@@ -82,8 +83,19 @@ class EarlyExample {
   AppSpec app_;
   Platform platform_;
   Policy policy_;
+  std::vector<bool> shared_ = {false, false, false};
   std::unique_ptr<EarlyStart> early_;
 };
+
+/// docs/keys.md, "Early start", last paragraph: the keys of other apps that are to come are not known.
+TEST(EarlyStart, NotWhereAnotherAppWouldPayForIt) {
+  for (const char* xpu : {"dla0", "gpu0", "cpu0"}) {
+    EarlyExample e;
+    e.share(xpu);
+    const int held = e.xnode(xpu, {e.source(100'000)}, {60'000}, {50'000});
+    EXPECT_EQ(e.may(held), xpu != std::string("gpu0")) << xpu;
+  }
+}
 
 TEST(EarlyStart, WaitsForAllOfSmallerKeysAlsoForThoseThatAreNotReleased) {
   for (const char* xpu : {"dla0", "gpu0"}) {

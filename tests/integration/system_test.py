@@ -1,0 +1,127 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""One coordinator per XPU of the machine: runs that know nothing of each other join, are refused, leave and die."""
+import json
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+
+from common import TESTAPP, children_of, testapp_files, wait_for, xauto
+
+BIN = pathlib.Path(os.environ["XAUTO_BIN"])
+
+
+class System(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.at = pathlib.Path(folder.name)
+        self.at.chmod(0o755)
+        self.socket = self.at / "coordinator.sock"
+        self.service = subprocess.Popen([BIN / "xauto-system", "--socket", self.socket], stderr=subprocess.PIPE, text=True)
+        self.addCleanup(self.service.stderr.close)
+        self.addCleanup(self.service.wait)
+        self.addCleanup(self.service.kill)
+        wait_for("the socket", self.socket.exists, self.service)
+        # The first leaves room, the second is planned into it, the third knows of nobody.
+        self.plan("first", 40_000, "--reserve", 50, "--demand-out", self.at / "demand.json")
+        self.plan("second", 50_000, "--beside", self.at / "demand.json")
+        self.plan("third", 12_000)
+
+    def plan(self, name, period_us, *more):
+        (self.at / name).mkdir()
+        testapp_files(str(self.at / name), period_us=period_us, name=name)
+        done = xauto("solve", "--app", self.at / name / "app.json", "--platform", self.at / name / "platform.json",
+                     "--max-evaluations", 400, "--time-limit", "60s", "--out", self.at / name / "policy.json", *more)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+
+    def start(self, name, period_us, seconds, system=None, before=()):
+        at = self.at / name
+        run = subprocess.Popen(
+            [*before, BIN / "xauto", "run", "--app", at / "app.json", "--platform", at / "platform.json", "--policy", at / "policy.json",
+             "--duration", f"{seconds}s", "--system", system or self.socket, "--out", at / "report.json", "--", TESTAPP,
+             at / "result", "period", str(period_us)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.addCleanup(run.stdout.close)
+        self.addCleanup(run.wait)
+        self.addCleanup(run.kill)
+        return run
+
+    def ended(self, run, name, status=0):
+        said, _ = run.communicate(timeout=60)
+        self.assertEqual(run.returncode, status, said)
+        return json.loads((self.at / name / "report.json").read_text())["runs"][0] if status == 0 else said
+
+    def admitted(self):
+        """Names of the apps that are there."""
+        told = json.loads(xauto("top", "--system", self.socket, "--interval", "50ms", "--json").stdout)
+        return [app["app"] for app in told["machine"]["apps"]]
+
+    def coordinators(self):
+        return [pid for pid, name in children_of(self.service.pid).items() if name.startswith("xauto-coord")]
+
+    def test_who_fits_comes_and_who_does_not_is_told_why(self):
+        first, second = self.start("first", 40_000, 4), self.start("second", 50_000, 4)
+        wait_for("both", lambda: sorted(self.admitted()) == ["first", "second"], first)
+        self.assertEqual(len(self.coordinators()), 2)  # of a core and of npu0, whoever uses them
+        shown = xauto("top", "--system", self.socket, "--once", "--interval", "50ms").stdout
+        self.assertRegex(shown, r"together: first \(uid \d+\) on core\d+, npu0")
+        for pid in self.coordinators():
+            self.assertNotIn(f"pid {pid} of", shown)
+        said = self.ended(self.start("third", 12_000, 2), "third", status=1)
+        self.assertRegex(said, r"third: is not admitted: XPU (core\d+|npu0).*(too much|load it by)")
+        for run, name in ((first, "first"), (second, "second")):
+            told = self.ended(run, name)
+            self.assertNotIn("xpu_shared", [a["kind"] for a in told["claims"]["assumptions"] if a["count"] > 0])
+            self.assertEqual(told["account"]["lost"] if "account" in told else 0, 0)
+        wait_for("nobody", lambda: self.admitted() == [] and self.coordinators() == [])
+
+    def test_coordinators_and_runs_that_are_killed_take_nobody_with_them(self):
+        first = self.start("first", 40_000, 8)
+        wait_for("the first", lambda: self.admitted() == ["first"] and len(self.coordinators()) == 2, first)
+        for _ in range(5):
+            second = self.start("second", 50_000, 30)
+            wait_for("the second", lambda: "second" in self.admitted(), second)
+            victim = self.coordinators()[0]
+            os.kill(victim, signal.SIGKILL)
+            wait_for("another coordinator", lambda: victim not in self.coordinators() and len(self.coordinators()) == 2)
+            second.send_signal(signal.SIGKILL)
+            second.wait()
+            wait_for("it has left", lambda: self.admitted() == ["first"])
+        told = self.ended(first, "first")
+        self.assertEqual(told["lost_activations"] if "lost_activations" in told else 0, 0)
+
+    def test_the_service_is_killed(self):
+        first = self.start("first", 40_000, 3)
+        wait_for("the first", lambda: self.admitted() == ["first"])
+        time.sleep(0.5)
+        self.service.send_signal(signal.SIGKILL)
+        said, _ = first.communicate(timeout=60)
+        self.assertIn("xauto-system ended", said)
+        self.assertEqual(first.returncode, 1)  # it ran to its end, and says that nobody scheduled it
+
+    def test_who_may_not_ask_is_told_in_one_sentence(self):
+        said = self.ended(self.start("first", 40_000, 1, system=self.at / "nobody.sock"), "first", status=2)
+        self.assertIn("no service of the machine listens there", said)
+        if os.geteuid() != 0 or shutil.which("setpriv") is None:
+            self.skipTest("only root is another user")
+        self.socket.chmod(0o600)
+        other = ("setpriv", "--reuid", "65534", "--clear-groups")
+        (self.at / "first").chmod(0o777)
+        said = self.ended(self.start("first", 40_000, 1, before=other), "first", status=1)
+        self.assertIn("this user may not use the machine's coordinators", said)
+
+    def test_without_rates_or_certificate_nothing_is_asked(self):
+        policy = self.at / "first" / "policy.json"
+        done = xauto("run", "--app", self.at / "first/app.json", "--platform", self.at / "first/platform.json", "--policy", policy,
+                     "--scheduling", "timeshare", "--duration", "200ms", "--system", self.socket, "--", TESTAPP, self.at / "r", "period", 40_000)
+        self.assertIn("--system", done.stderr)
+        self.assertEqual(done.returncode, 2)
+
+
+if __name__ == "__main__":
+    unittest.main()
