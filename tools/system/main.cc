@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto-system: one coordinator per XPU instance of the machine, for all runs that ask (docs/together.md). Started by
+// xauto-system: one coordinator per XPU instance of the machine, for all runs that ask (docs/claims.md). Started by
 // systemd, which has its socket; or by hand, with --socket. A program of its own beside xauto-coordinator, which keeps
 // all of its memory resident: the test of who may come is the checker's.
 #include <algorithm>

@@ -210,7 +210,7 @@ void warn_of_others(const launch::Supervision& request) {
               holder.hardware);
     alone = false;
   }
-  if (!alone) log::hint("with xauto-system both would be asked whether they fit: docs/together.md");
+  if (!alone) log::hint("with xauto-system both would be asked whether they fit: docs/claims.md");
 }
 
 /// Joins the machine's coordinators where there are some and the policy says what it demands.

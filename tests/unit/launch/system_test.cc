@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cstdio>
 #include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <functional>
 #include <memory>
 #include <thread>
@@ -143,8 +143,11 @@ std::vector<pid_t> coordinators() {
   for (fs::directory_iterator it("/proc", error), end; it != end; it.increment(error)) {
     const std::string name = it->path().filename().string();
     if (name.find_first_not_of("0123456789") != std::string::npos) continue;
-    std::ifstream file(it->path() / "stat");
-    const std::string text((std::istreambuf_iterator<char>(file)), {});
+    std::string text(512, '\0');  // a stream would throw where the process is just dying
+    FILE* const file = std::fopen((it->path() / "stat").c_str(), "r");
+    if (file == nullptr) continue;
+    text.resize(std::fread(text.data(), 1, text.size(), file));
+    std::fclose(file);
     const auto open = text.find('('), close = text.rfind(')');
     if (open == std::string::npos || text.substr(open + 1, close - open - 1) != "xauto-coordinat")
       continue;
