@@ -67,9 +67,10 @@ class SchedHandle {
 
   /// gate()
   SchedHandle() = default;
-  /// cuda_context() and cudla_device(): an `init` may return a CUcontext or a cudlaDevHandle itself, as the paper's does.
+  /// cuda_context(): an `init` may return a CUcontext itself, as the paper's does.
   // NOLINTNEXTLINE(google-explicit-constructor): the point of it
   SchedHandle(CUctx_st* cu_context) : SchedHandle(cuda_context(cu_context)) {}
+  /// cudla_device(), likewise of a cudlaDevHandle.
   // NOLINTNEXTLINE(google-explicit-constructor)
   SchedHandle(cudlaDevHandle_t* device) : SchedHandle(cudla_device(device)) {}
   /// For an XPU whose work cannot be suspended: one job at a time, to its end.
