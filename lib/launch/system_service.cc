@@ -19,6 +19,7 @@ namespace xauto::launch {
 namespace {
 
 constexpr std::size_t kMaxGuests = 256;
+constexpr std::size_t kMaxGuestsOfUser = 192;
 constexpr std::size_t kMaxLeases = 64;
 constexpr std::int64_t kGuestNs =
     2'000'000'000;  ///< between two packets of one that has not said all
@@ -83,9 +84,11 @@ void SystemService::accept_guests() {
 
 int SystemService::adopt(UniqueFd socket, uid_t uid) {
   thread_.check();
-  if (guests_.size() >= kMaxGuests) {
-    refusals_.tell("refused a connection" + of_uid(uid) + ": " + std::to_string(kMaxGuests) +
-                       " have not said yet what they want",
+  const auto same = [&](const auto& entry) { return entry.second.uid == uid; };
+  const auto mine = static_cast<std::size_t>(std::count_if(guests_.begin(), guests_.end(), same));
+  if (guests_.size() >= kMaxGuests || mine >= kMaxGuestsOfUser) {
+    refusals_.tell("refused a connection" + of_uid(uid) + ": " + std::to_string(mine) +
+                       " of that user have not said yet what they want",
                    now_ns());
     return -1;
   }

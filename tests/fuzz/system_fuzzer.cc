@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+// A hostile run, or worker, at the machine's socket: any packets, in any order. The service must neither die nor hang,
+// keeps nobody who has said nonsense, and answers a run that comes after it.
+#include <algorithm>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include <fcntl.h>
+#include <sys/socket.h>
+
+#include "base/socket.h"
+#include "coord/protocol.h"
+#include "launch/system_service.h"
+
+namespace {
+
+using namespace xauto;
+using namespace xauto::launch;
+
+/// Coordinators cannot be started: what is looked at ends before.
+SystemService& service() {
+  static SystemService one({.bin = "/nonexistent",
+                            .listener = UniqueFd(),
+                            .admission = [](const auto&, const Tenant& comes) -> Status {
+                              if (comes.demand.size() % 2 == 0) return {};
+                              return fail(ErrorCode::kInfeasible, "odd: " + comes.demand);
+                            }});
+  return one;
+}
+
+template <class Packet>
+std::string over(Packet packet, const std::uint8_t* data, std::size_t size) {
+  std::string text(sizeof packet, '\0');
+  std::memcpy(text.data(), &packet, sizeof packet);
+  // Pairs of where and what.
+  for (std::size_t i = 0; i + 3 <= size; i += 3)
+    text[(static_cast<std::size_t>(data[i]) << 8 | data[i + 1]) % text.size()] =
+        static_cast<char>(data[i + 2]);
+  return text;
+}
+
+Join good_join() {
+  Join join{.num_xnodes = 3, .num_xpus = 2, .demand_bytes = 40};
+  std::strcpy(join.app, "app");
+  for (std::uint32_t i = 0; i < 2; ++i) {
+    join.xpus[i].id[0] = static_cast<char>('a' + i);
+    join.xpus[i].hardware[0] = static_cast<char>('x' + i);
+  }
+  return join;
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  int ends[2];
+  if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) std::abort();
+  const UniqueFd ours(ends[1]);
+  fcntl(ours.get(), F_SETFL, O_NONBLOCK);
+  const int theirs = service().adopt(UniqueFd(ends[0]), 1000);
+  if (theirs < 0) std::abort();
+  bool kept = true;
+  for (std::size_t at = 0; at + 2 <= size && kept;) {
+    const std::size_t length = std::min<std::size_t>(data[at + 1], size - at - 2);
+    const std::uint8_t* bytes = data + at + 2;
+    std::string packet;
+    switch (data[at] % 5) {
+      case 0:
+        packet.assign(reinterpret_cast<const char*>(bytes), length);
+        break;
+      case 1:
+        packet = over(good_join(), bytes, length);
+        break;
+      case 2:
+        packet = over(coord::Attach{}, bytes, length);
+        break;
+      case 3:
+        packet.assign(kDemandPiece, 'd');
+        break;
+      default:
+        packet.assign(40, 'd');
+    }
+    at += 2 + length;
+    if (packet.empty() || !send_packet(ours.get(), packet.data(), packet.size())) continue;
+    kept = service().hear(theirs);
+  }
+  if (kept) {
+    shutdown(ours.get(), SHUT_RDWR);
+    if (service().hear(theirs)) std::abort();
+  }
+  return 0;
+}
