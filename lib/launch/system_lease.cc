@@ -24,7 +24,7 @@ Result<UniqueFd> connect_to_service(const std::string& path) {
     return fail(ErrorCode::kNotFound, "no service of the machine listens there", path);
   if (access(path.c_str(), W_OK) != 0)
     return fail(ErrorCode::kPermission, "this user may not use the machine's coordinators", path,
-                "add the user to the group xauto: `sudo adduser $USER xauto`, and log in again");
+                "who may is in the socket's group: `sudo adduser $USER xauto`, and log in again");
   return connect_path(path);
 }
 

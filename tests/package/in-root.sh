@@ -109,7 +109,7 @@ dependencies_there() {
     ldd "$program" >needs
     absent grep 'not found' needs
   done
-  [ "$(ls /usr/libexec/xauto | wc -l)" -eq 5 ] # programs, and the library that is preloaded
+  [ "$(ls /usr/libexec/xauto | wc -l)" -eq 6 ] # programs, and the library that is preloaded
 }
 # Whoever has no right to real-time priorities is told of a file; the example has the lines that it wants.
 limit_told() {
@@ -140,6 +140,7 @@ unit() {
   mkdir -p /etc/xauto
   cp /usr/share/doc/xauto-tools/examples/camera.conf /etc/xauto/
   systemd-analyze verify --man=no xauto@camera.service
+  systemd-analyze verify --man=no xauto-system.socket xauto-system.service
   rm -r /etc/xauto
   systemd-tmpfiles --create xauto-tools.conf
   if mountpoint -q /sys/fs/bpf; then [ -d /sys/fs/bpf/xauto ]; fi
