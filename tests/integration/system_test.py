@@ -74,10 +74,9 @@ class System(unittest.TestCase):
             self.assertNotIn(f"pid {pid} of", shown)
         said = self.ended(self.start("third", 12_000, 2), "third", status=1)
         self.assertRegex(said, r"third: is not admitted: XPU (core\d+|npu0).*(too much|load it by)")
-        for run, name in ((first, "first"), (second, "second")):
-            told = self.ended(run, name)
-            self.assertNotIn("xpu_shared", [a["kind"] for a in told["claims"]["assumptions"] if a["count"] > 0])
-            self.assertEqual(told["account"]["lost"] if "account" in told else 0, 0)
+        for run, name, other in ((first, "first", second), (second, "second", first)):
+            # Who is admitted is no stranger; tests that run beside this one are.
+            self.assertNotIn(f"run {other.pid}-0", " ".join(self.ended(run, name)["claims"]["broken"]))
         wait_for("nobody", lambda: self.admitted() == [] and self.coordinators() == [])
 
     def test_coordinators_and_runs_that_are_killed_take_nobody_with_them(self):
@@ -92,8 +91,7 @@ class System(unittest.TestCase):
             second.send_signal(signal.SIGKILL)
             second.wait()
             wait_for("it has left", lambda: self.admitted() == ["first"])
-        told = self.ended(first, "first")
-        self.assertEqual(told["lost_activations"] if "lost_activations" in told else 0, 0)
+        self.assertEqual(self.ended(first, "first")["lost_activations"], 0)
 
     def test_the_service_is_killed(self):
         first = self.start("first", 40_000, 3)

@@ -201,16 +201,15 @@ namespace {
 /// What the run's account says later is worth knowing before. Runs that share are admitted to each other.
 void warn_of_others(const launch::Supervision& request) {
   const std::vector<runtime::RealXpu> ours = runtime::real_xpus_of(request.session);
-  bool alone = true;
   for (const runtime::Holder& holder : runtime::holders({})) {
     if (std::ranges::find(ours, holder.hardware, &runtime::RealXpu::hardware) == ours.end() ||
         (holder.shared && !request.system_socket.empty()))
       continue;
-    log::warn("{} has {}, too: nothing that is claimed of either run stands", holder.words(),
-              holder.hardware);
-    alone = false;
+    log::warn(
+        "{} has {}, too: nothing that is claimed of either run stands; xauto-system would "
+        "ask whether both fit (docs/claims.md)",
+        holder.words(), holder.hardware);
   }
-  if (!alone) log::hint("with xauto-system both would be asked whether they fit: docs/claims.md");
 }
 
 /// Joins the machine's coordinators where there are some and the policy says what it demands.
