@@ -38,6 +38,14 @@ Status validate_sequence(const DemandSequence& sequence, const std::string& wher
 
 }  // namespace
 
+Status has_demand(const AppSpec& app) {
+  if (!app.one_at_a_time) return {};
+  return fail(ErrorCode::kInvalid,
+              "its sources have no rate: it takes all of its XPUs that it gets, and nothing can be "
+              "claimed beside it",
+              "app " + quoted(app.name), "state how often its sources release at most: rate_hz");
+}
+
 Status validate(const Demand& demand) {
   XAUTO_TRY(in_range(demand.ticks_per_us, 1, kMaxTicksPerUs, "ticks", "/ticks_per_us"));
   std::set<std::string_view> ids;

@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "model/app.h"
 #include "model/platform.h"
 
 namespace xauto {
@@ -60,6 +61,8 @@ inline constexpr std::size_t kMaxDemandJobs = 400'000;    ///< of one sequence
 inline constexpr std::int64_t kMaxDemandTicks = std::int64_t{1} << 53;
 inline constexpr int kMaxReservePct = 90;
 
+/// kInvalid: its sources have no rate. It releases as soon as it can, so no demand bounds it.
+[[nodiscard]] Status has_demand(const AppSpec& app);
 /// XPUs and times as above, each XPU once; ready < key, start <= ready, work from 1.
 [[nodiscard]] Status validate(const Demand& demand);
 /// Its XPUs are those of the platform: there, and what preempts, or costs, as here.

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "base/index.h"
+#include "model/demand.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
 
@@ -90,12 +91,7 @@ Result<AppSpec> merge_apps(const std::vector<AppSpec>& apps) {
     if (!names.insert(app.name).second)
       return fail(ErrorCode::kInvalid, "two apps are called " + quoted(app.name), "apps",
                   "give one of them another name");
-    if (app.one_at_a_time)
-      return fail(
-          ErrorCode::kInvalid,
-          "its sources have no rate: it takes all of its XPUs that it gets, and nothing can "
-          "be claimed beside it",
-          "app " + quoted(app.name), "state how often its sources release at most: rate_hz");
+    XAUTO_TRY(has_demand(app));
     all.name += (all.name.empty() ? "" : " + ") + app.name;
     Adding(app, all).add();
   }

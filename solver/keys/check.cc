@@ -37,18 +37,11 @@ void compare(const ChainClaim& claim, ChainProof& proof, CheckReport& report) {
                      claim.lower_bound_us, claim.worst_case_us));
 }
 
-tl::unexpected<Error> takes_all(const AppSpec& app) {
-  return fail(ErrorCode::kInvalid,
-              "its sources have no rate: it takes all of its XPUs that it gets, and nothing can be "
-              "claimed beside it",
-              "app '" + app.name + "'", "state how often its sources release at most: rate_hz");
-}
-
 /// What the ticks of a microsecond have to be a multiple of.
 Result<Ticks> ticks_beside(const AppSpec& app, const Platform& platform, const Beside& beside) {
   Ticks ticks = 1;
   if (beside.nobody()) return ticks;
-  if (app.one_at_a_time) return takes_all(app);
+  XAUTO_TRY(has_demand(app));
   if (beside.reserve_pct < 0 || beside.reserve_pct > kMaxReservePct)
     return fail(ErrorCode::kInvalid,
                 fmt::format("{} % is not from 0 to {} %", beside.reserve_pct, kMaxReservePct),
@@ -184,7 +177,7 @@ Status check_together(const std::vector<Demand>& demands) {
 }
 
 Result<Demand> demand_of(const AppSpec& app, const Platform& platform, const Policy& policy) {
-  if (app.one_at_a_time) return checking::takes_all(app);
+  XAUTO_TRY(has_demand(app));
   XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false));
   Demand demand;
   demand.ticks_per_us = w.scale;

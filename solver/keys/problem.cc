@@ -547,11 +547,7 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
                                 const std::vector<std::pair<int, int>>& order,
                                 const Beside& beside) {
   XAUTO_TRY(validate(app));
-  if (app.one_at_a_time && !beside.nobody())
-    return fail(ErrorCode::kInvalid,
-                "its sources have no rate: it takes all of its XPUs that it gets, and nothing can "
-                "be claimed beside it",
-                "app '" + app.name + "'", "state how often its sources release at most: rate_hz");
+  if (!beside.nobody()) XAUTO_TRY(has_demand(app));
   for (const Demand& demand : beside.demands) {
     XAUTO_TRY(validate(demand));
     XAUTO_TRY(validate_on(demand, platform));
