@@ -106,7 +106,6 @@ class Supervisor {
     const bool runs = session.mode == Mode::kRun;
     const bool scheduled = runs && session.scheduling == Scheduling::kXAuto;
     const bool has_hub = runs && !session.parts.modules.empty();
-    decide_cpu_by_keys(session);
     XAUTO_TRY(join_machine());
     std::vector<std::string> names = socket_names(session);
     if (runs) names.insert(names.end(), {kLiveName, kDeskName});
@@ -149,20 +148,11 @@ class Supervisor {
     return start_modules(session, options);
   }
 
-  /// A place on the machine's coordinators, of each real XPU that we schedule.
   Status join_machine() {
-    Session& session = request_.session;
-    if (request_.system_socket.empty()) return {};
-    LeaseRequest asks{
-        .path = request_.system_socket,
-        .app = session.app.name,
-        .num_xnodes = static_cast<std::uint32_t>(session.num_tables() * session.app.xnodes.size()),
-        .xpus = shareable_xpus(session),
-        .demand = request_.demand};
-    if (asks.xpus.empty()) return {};
-    XAUTO_ASSIGN(lease_, SystemLease::ask(asks));
-    for (const JoinXpu& xpu : asks.xpus)
-      session.coordinators[xpu.id] = lease_->address(xpu.hardware);
+    if (!request_.joins) return {};
+    XAUTO_ASSIGN(lease_, SystemLease::ask(*request_.joins));
+    for (const JoinXpu& xpu : request_.joins->xpus)
+      request_.session.coordinators[xpu.id] = lease_->address(xpu.hardware);
     return {};
   }
 

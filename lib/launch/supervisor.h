@@ -15,6 +15,7 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -23,6 +24,7 @@
 
 #include "base/process.h"
 #include "launch/daemons.h"
+#include "launch/system_lease.h"
 #include "model/emulation_script.h"
 #include "processes/board.h"
 #include "session/session.h"
@@ -52,10 +54,8 @@ struct Supervision {
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: drain; see stop_count for more
   /// About five times a second. `board` is null until the app has made it.
   std::function<void(double elapsed_s, const runtime::Board* board)> on_tick;
-  /// Joins the machine's coordinators at this socket, with `demand`; "": the run brings its own.
-  std::string system_socket;
-  std::string demand;       ///< text of a demand file
-  double trace_keep_s = 0;  ///< the trace keeps the newest events of so long; 0: no trace
+  std::optional<LeaseRequest> joins;  ///< the machine's coordinators; none: the run brings its own
+  double trace_keep_s = 0;            ///< the trace keeps the newest events of so long; 0: no trace
   /// Of the first few of each kind, shortly after it happened. Called on the caller's thread.
   std::function<void(const Incident&)> on_incident;
   std::int64_t time_limit_s = 0;    ///< 0: none; then the app is stopped

@@ -31,7 +31,7 @@ struct LeaseRequest {
 /// ext) is none. After decide_cpu_by_keys().
 [[nodiscard]] std::vector<JoinXpu> shareable_xpus(const runtime::Session& session);
 
-/// Who is there, as the service says: `apps` with app, uid, first_xnode, xnodes and xpus, `coordinators` with xpu, pid
+/// Who is there, as the service says: `apps` with app, uid and xpus, `coordinators` with xpu, pid
 /// and discipline. Errors as below.
 [[nodiscard]] Result<Json> ask_who_is_there(const std::string& path);
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <map>
 #include <utility>
 
 #include <fcntl.h>
@@ -13,6 +14,7 @@
 #include "base/clock.h"
 #include "base/socket.h"
 #include "coord/shm_layout.h"
+#include "model/json.h"
 #include "model/json_value.h"
 
 namespace xauto::launch {
@@ -35,6 +37,38 @@ void refuse_worker(int socket, const std::string& why) {
   coord::Refused refused;
   std::strncpy(refused.reason, why.c_str(), sizeof refused.reason - 1);
   (void)send_packet(socket, &refused, sizeof refused);
+}
+
+/// What a run asks of the machine, its XPUs called as they are here.
+Result<Demand> demand_here(const Join& join, const std::string& text) {
+  XAUTO_ASSIGN(Demand demand, parse_demand(text, std::string("app '") + join.app + "'"));
+  std::map<std::string, std::string> hardware;
+  for (std::uint32_t i = 0; i < join.num_xpus; ++i)
+    hardware[join.xpus[i].id] = join.xpus[i].hardware;
+  std::erase_if(demand.xpus, [&](const DemandOnXpu& on) {
+    return !hardware.contains(on.xpu.id);  // emulated, or the kernel's
+  });
+  if (demand.xpus.size() != join.num_xpus)
+    return fail(ErrorCode::kInvalid, "its demand leaves out an XPU that it asks for");
+  for (DemandOnXpu& on : demand.xpus) on.xpu.id = hardware.at(on.xpu.id);
+  XAUTO_TRY(validate(demand));
+  return demand;
+}
+
+bool has(const Demand& demand, const std::string& hardware) {
+  return std::any_of(demand.xpus.begin(), demand.xpus.end(),
+                     [&](const DemandOnXpu& on) { return on.xpu.id == hardware; });
+}
+
+/// "core0: why", as it is told to a run.
+std::string words_of(const Error& error) {
+  return error.where.empty() ? error.what : error.where + ": " + error.what;
+}
+
+void refuse_run(int socket, const Error& why, bool later) {
+  NotAdmitted answer{.later = later ? 1u : 0u};
+  std::strncpy(answer.reason, words_of(why).c_str(), sizeof answer.reason - 1);
+  (void)send_packet(socket, &answer, sizeof answer);
 }
 
 std::string of_uid(uid_t uid) {
@@ -146,11 +180,7 @@ bool SystemService::hear_guest(Guest& guest) {
     return false;
   std::memcpy(&guest.join.emplace(), packet.data(), sizeof(Join));
   const Status fault = fault_of(*guest.join);
-  if (!fault) {
-    NotAdmitted answer;
-    std::strncpy(answer.reason, fault.error().what.c_str(), sizeof answer.reason - 1);
-    (void)send_packet(fd, &answer, sizeof answer);
-  }
+  if (!fault) refuse_run(fd, fault.error(), false);
   return fault.has_value();
 }
 
@@ -188,12 +218,10 @@ bool SystemService::take_piece(Guest& guest, const std::string& piece) {
   bool later = false;
   const auto number = admit(guest, later);
   if (!number) {
-    NotAdmitted answer{.later = later ? 1u : 0u};
-    std::strncpy(answer.reason, number.error().what.c_str(), sizeof answer.reason - 1);
-    (void)send_packet(guest.socket.get(), &answer, sizeof answer);
+    refuse_run(guest.socket.get(), number.error(), later);
     if (!later)
       log::info("app '{}'{} was not admitted: {}", guest.join->app, of_uid(guest.uid),
-                number.error().what);
+                words_of(number.error()));
     return false;
   }
   Leased& lease = leases_.at(*number);
@@ -202,7 +230,7 @@ bool SystemService::take_piece(Guest& guest, const std::string& piece) {
                         .first_xnode = lease.first_xnode,
                         .num_xnodes = lease.num_xnodes};
   lease.socket = std::move(guest.socket);
-  log::info("app '{}'{} was admitted", lease.tenant.app, of_uid(lease.uid));
+  log::info("app '{}'{} was admitted", lease.app, of_uid(lease.uid));
   if (!send_packet(lease.socket.get(), &answer, sizeof answer)) end(*number);
   return false;
 }
@@ -210,17 +238,18 @@ bool SystemService::take_piece(Guest& guest, const std::string& piece) {
 /// `later`: it is refused for what those have not given back yet that have left.
 Result<std::uint32_t> SystemService::admit(Guest& guest, bool& later) {
   const Join& join = *guest.join;
-  Leased lease{.uid = guest.uid, .num_xnodes = join.num_xnodes, .tenant = {}};
-  lease.tenant = {.app = join.app, .demand = std::move(guest.demand), .hardware = {}};
-  for (std::uint32_t i = 0; i < join.num_xpus; ++i)
-    lease.tenant.hardware[join.xpus[i].id] = join.xpus[i].hardware;
-  std::vector<const Tenant*> there;
-  for (const auto& [number, other] : leases_) there.push_back(&other.tenant);
+  Leased lease{.uid = guest.uid, .num_xnodes = join.num_xnodes, .app = join.app, .demand = {}};
+  XAUTO_ASSIGN(lease.demand, demand_here(join, guest.demand));
+  std::vector<Demand> demands;
+  for (const auto& [number, other] : leases_) demands.push_back(other.demand);
+  demands.push_back(lease.demand);
+  XAUTO_TRY(options_.admission(demands));
   forget_departed();
-  XAUTO_TRY(options_.admission(there, lease.tenant));
-  for (const Departed& other : departed_) there.push_back(&other.tenant);
   if (!departed_.empty()) {
-    Status still = options_.admission(there, lease.tenant);
+    demands.pop_back();
+    for (const Departed& other : departed_) demands.push_back(other.demand);
+    demands.push_back(lease.demand);
+    Status still = options_.admission(demands);
     later = !still.has_value();
     if (later) return tl::unexpected<Error>(std::move(still).error());
   }
@@ -279,9 +308,7 @@ void SystemService::hand_on(UniqueFd worker, const coord::Attach& attach) {
     return refuse_worker(worker.get(), "another protocol version");
   if (lease == leases_.end() || lease->second.secret != attach.secret)
     return refuse_worker(worker.get(), "the run has no lease here: its service has begun again");
-  const auto& has = lease->second.tenant.hardware;
-  if (shared == shared_.end() ||
-      std::none_of(has.begin(), has.end(), [&](const auto& one) { return one.second == hardware; }))
+  if (shared == shared_.end() || !has(lease->second.demand, hardware))
     return refuse_worker(worker.get(), "the run has joined without this XPU");
   const coord::Adopt adopt{.lease = attach.lease,
                            .first_xnode = lease->second.first_xnode,
@@ -295,14 +322,14 @@ void SystemService::end(std::uint32_t number) {
   const auto found = leases_.find(number);
   const Leased lease = std::move(found->second);
   leases_.erase(found);
-  departed_.push_back({lease.tenant, now_ns() + kMomentNs});
+  departed_.push_back({lease.demand, now_ns() + kMomentNs});
   const coord::Adopt over{.kind = static_cast<std::uint32_t>(coord::MessageKind::kEndLease),
                           .lease = number};
-  for (const auto& [xpu, hardware] : lease.tenant.hardware)
-    if (const auto shared = shared_.find(hardware); shared != shared_.end())
+  for (const DemandOnXpu& on : lease.demand.xpus)
+    if (const auto shared = shared_.find(on.xpu.id); shared != shared_.end())
       (void)send_packet(shared->second.control.get(), &over, sizeof over);
   stop_unused();
-  log::info("app '{}'{} has left", lease.tenant.app, of_uid(lease.uid));
+  log::info("app '{}'{} has left", lease.app, of_uid(lease.uid));
 }
 
 void SystemService::stop_unused() {
@@ -320,12 +347,8 @@ std::string SystemService::status() const {
   Json apps = Json::array();
   for (const auto& [number, lease] : leases_) {
     Json xpus = Json::array();
-    for (const auto& [xpu, hardware] : lease.tenant.hardware) xpus.push_back(hardware);
-    apps.push_back({{"app", lease.tenant.app},
-                    {"uid", lease.uid},
-                    {"first_xnode", lease.first_xnode},
-                    {"xnodes", lease.num_xnodes},
-                    {"xpus", xpus}});
+    for (const DemandOnXpu& on : lease.demand.xpus) xpus.push_back(on.xpu.id);
+    apps.push_back({{"app", lease.app}, {"uid", lease.uid}, {"xpus", xpus}});
   }
   Json coordinators = Json::array();
   for (const auto& [hardware, shared] : shared_)
@@ -340,17 +363,14 @@ void SystemService::forget_departed() {
   const std::int64_t now = now_ns();
   for (Departed& one : departed_)
     if (now >= one.look_ns)
-      std::erase_if(one.tenant.hardware,
-                    [&](const auto& has) { return daemons_.idle(has.second); });
-  std::erase_if(departed_, [](const Departed& one) { return one.tenant.hardware.empty(); });
+      std::erase_if(one.demand.xpus,
+                    [&](const DemandOnXpu& on) { return daemons_.idle(on.xpu.id); });
+  std::erase_if(departed_, [](const Departed& one) { return one.demand.xpus.empty(); });
 }
 
 bool SystemService::used(const std::string& hardware) const {
-  return std::any_of(leases_.begin(), leases_.end(), [&](const auto& lease) {
-    const auto& has = lease.second.tenant.hardware;
-    return std::any_of(has.begin(), has.end(),
-                       [&](const auto& one) { return one.second == hardware; });
-  });
+  return std::any_of(leases_.begin(), leases_.end(),
+                     [&](const auto& lease) { return has(lease.second.demand, hardware); });
 }
 
 }  // namespace xauto::launch

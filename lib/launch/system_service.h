@@ -24,18 +24,13 @@
 #include "coord/door.h"
 #include "launch/daemons.h"
 #include "launch/system_protocol.h"
+#include "model/demand.h"
 
 namespace xauto::launch {
 
-/// What one run wants of the machine.
-struct Tenant {
-  std::string app;
-  std::string demand;                           ///< text of a demand file
-  std::map<std::string, std::string> hardware;  ///< XPU of that file -> what it is here
-};
-/// Whether `comes` may come to those who are there; the error says why not. Throws nothing; takes seconds at most.
-using Admission =
-    std::function<Status(const std::vector<const Tenant*>& there, const Tenant& comes)>;
+/// Whether the last of these may come to the others; the error says why not. Their XPUs are called as the machine's
+/// are. Throws nothing; takes seconds at most.
+using Admission = std::function<Status(const std::vector<Demand>& demands)>;
 
 struct SystemOptions {
   std::string bin;    ///< folder with xauto-coordinator
@@ -54,9 +49,9 @@ class SystemService {
   /// Serves until `stop_fd` becomes readable.
   void run(int stop_fd);
 
-  /// A connection that was accepted elsewhere, and what comes over it; for the fuzzer. False: it was closed.
+  /// A connection that was accepted elsewhere, and what comes over it; for the fuzzer. -1: it was closed.
   int adopt(UniqueFd socket, uid_t uid);
-  bool hear(int connection);
+  bool hear(int connection);  ///< false: likewise
 
  private:
   /// Who has connected, and has not said all.
@@ -72,11 +67,12 @@ class SystemService {
     uid_t uid = 0;
     std::uint64_t secret = 0;
     std::uint32_t first_xnode = 0, num_xnodes = 0;
-    Tenant tenant;
+    std::string app;
+    Demand demand;  ///< of each XPU that it has
   };
-  /// A run that has left, with that hardware of it that has not been idle since.
+  /// A run that has left, with those XPUs of it that have not been idle since.
   struct Departed {
-    Tenant tenant;
+    Demand demand;
     std::int64_t look_ns = 0;  ///< not before: its processes need a moment to die
   };
   struct Shared {

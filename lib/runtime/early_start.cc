@@ -57,6 +57,7 @@ Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const P
     const int on = policy.placements[x].xpu;
     const Xpu& xpu = platform.xpus[at(on)];
     rule.never = shared[at(on)] && ((xpu.preemptive && xpu.preempt_us > 0) || xpu.levels > 0);
+    if (rule.never) continue;
     if (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0)
       for (std::size_t y = 0; y < n; ++y)
         if (y != x && policy.placements[y].xpu == on) rule.mates.push_back(static_cast<int>(y));

@@ -113,7 +113,32 @@ class System(unittest.TestCase):
         said = self.ended(self.start("first", 40_000, 1, before=other), "first", status=1)
         self.assertIn("this user may not use the machine's coordinators", said)
 
+    def test_a_container_needs_the_socket_alone(self):
+        """Network and processes of its own: nothing abstract of the machine's is seen there, and no pid."""
+        away = ("unshare", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
+        if subprocess.run([*away, "true"], capture_output=True).returncode != 0:
+            self.skipTest("only root makes namespaces")
+        first = self.start("first", 40_000, 4)
+        wait_for("the first", lambda: self.admitted() == ["first"], first)
+        second = self.start("second", 50_000, 2, before=away)
+        wait_for("the second", lambda: sorted(self.admitted()) == ["first", "second"], second)
+        self.assertEqual(len(self.coordinators()), 2)
+        self.assertEqual(self.ended(second, "second")["lost_activations"], 0)
+        self.ended(first, "first")
+
+    def test_a_run_at_other_rates_than_it_states_is_not_asked_for(self):
+        for more in (("--period", "5ms"), ("--lockstep",)):
+            done = xauto("run", "--app", self.at / "first/app.json", "--platform", self.at / "first/platform.json", "--policy",
+                         self.at / "first/policy.json", *more, "--activations", 3, "--system", self.socket, "--", TESTAPP, self.at / "r")
+            self.assertIn("it releases at other rates than those of the app", done.stderr)
+            self.assertEqual(done.returncode, 2)
+
     def test_without_rates_or_certificate_nothing_is_asked(self):
+        (self.at / "alone").mkdir()
+        alone = testapp_files(str(self.at / "alone"), name="alone")
+        done = xauto("run", *alone, "--activations", 3, "--system", self.socket, "--", TESTAPP, self.at / "r")
+        self.assertIn("sources without a rate take all that they get", done.stderr)
+        self.assertEqual(done.returncode, 2)
         policy = self.at / "first" / "policy.json"
         done = xauto("run", "--app", self.at / "first/app.json", "--platform", self.at / "first/platform.json", "--policy", policy,
                      "--scheduling", "timeshare", "--duration", "200ms", "--system", self.socket, "--", TESTAPP, self.at / "r", "period", 40_000)

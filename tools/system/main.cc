@@ -2,11 +2,9 @@
 // xauto-system: one coordinator per XPU instance of the machine, for all runs that ask (docs/claims.md). Started by
 // systemd, which has its socket; or by hand, with --socket. A program of its own beside xauto-coordinator, which keeps
 // all of its memory resident: the test of who may come is the checker's.
-#include <algorithm>
 #include <cstdlib>
 #include <string>
 #include <utility>
-#include <vector>
 
 #include <unistd.h>
 
@@ -16,7 +14,6 @@
 #include "base/socket.h"
 #include "cli/cli.h"
 #include "launch/system_service.h"
-#include "model/json.h"
 #include "solver/keys/check.h"
 
 namespace {
@@ -43,34 +40,6 @@ xauto::Result<xauto::UniqueFd> listener(const std::string& path) {
   return xauto::listen_path(path, 0660);
 }
 
-/// The demand, with XPUs called as those of the machine are.
-xauto::Result<xauto::Demand> demand_here(const xauto::launch::Tenant& tenant) {
-  XAUTO_ASSIGN(xauto::Demand demand,
-               xauto::parse_demand(tenant.demand, "app '" + tenant.app + "'"));
-  std::erase_if(demand.xpus, [&](const xauto::DemandOnXpu& on) {
-    return !tenant.hardware.contains(on.xpu.id);  // emulated, or the kernel's
-  });
-  for (xauto::DemandOnXpu& on : demand.xpus) on.xpu.id = tenant.hardware.at(on.xpu.id);
-  XAUTO_TRY(xauto::validate(demand));
-  return demand;
-}
-
-xauto::Status admits(const std::vector<const xauto::launch::Tenant*>& there,
-                     const xauto::launch::Tenant& comes) {
-  std::vector<xauto::Demand> demands;
-  for (const xauto::launch::Tenant* tenant : there) {
-    XAUTO_ASSIGN(xauto::Demand demand, demand_here(*tenant));
-    demands.push_back(std::move(demand));
-  }
-  XAUTO_ASSIGN(xauto::Demand demand, demand_here(comes));
-  if (demand.xpus.size() != comes.hardware.size())
-    return xauto::fail(xauto::ErrorCode::kInvalid, "its demand leaves out an XPU that it asks for");
-  demands.push_back(std::move(demand));
-  const xauto::Status fits = xauto::solver::keys::check_together(demands);
-  if (fits) return {};
-  return xauto::fail(fits.error().code, fits.error().where + ": " + fits.error().what);
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -84,8 +53,9 @@ int main(int argc, char** argv) {
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
   auto socket = listener(path);
   if (!socket) return complain(socket.error());
-  xauto::launch::SystemService service(
-      {.bin = xauto::program_directory(), .listener = std::move(*socket), .admission = admits});
+  xauto::launch::SystemService service({.bin = xauto::program_directory(),
+                                        .listener = std::move(*socket),
+                                        .admission = xauto::solver::keys::check_together});
   service.run(stop.get());
   return 0;
 }

@@ -203,13 +203,24 @@ void warn_of_others(const launch::Supervision& request) {
   const std::vector<runtime::RealXpu> ours = runtime::real_xpus_of(request.session);
   for (const runtime::Holder& holder : runtime::holders({})) {
     if (std::ranges::find(ours, holder.hardware, &runtime::RealXpu::hardware) == ours.end() ||
-        (holder.shared && !request.system_socket.empty()))
+        (holder.shared && request.joins))
       continue;
     log::warn(
         "{} has {}, too: nothing that is claimed of either run stands; xauto-system would "
         "ask whether both fit (docs/claims.md)",
         holder.words(), holder.hardware);
   }
+}
+
+/// Why nobody can say what the run takes at most; "": its policy says it.
+std::string why_no_demand(const RunFlags& flags, const PolicyRun& run) {
+  if (run.tables) return "nobody can say what tables demand";
+  if (!run.keys || !run.keys->certified)
+    return "a policy without a certificate does not say what it demands";
+  if (flags.app.one_at_a_time) return "sources without a rate take all that they get";
+  if (flags.lockstep || flags.period_us > 0 || flags.input_rate != 1)
+    return "it releases at other rates than those of the app";
+  return {};
 }
 
 /// Joins the machine's coordinators where there are some and the policy says what it demands.
@@ -224,27 +235,25 @@ Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& 
       (!asked && !std::filesystem::exists(path, error)))
     return {};
   launch::decide_cpu_by_keys(session);
-  const std::vector<launch::JoinXpu> xpus = launch::shareable_xpus(session);
-  if (xpus.empty()) return {};
-  const bool says = run.keys && run.keys->certified && !run.tables;
-  if (!says && !asked) {
-    log::warn(
-        "does not join {}: {} what it demands; it brings coordinators of its own", path,
-        run.tables ? "nobody can say of tables" : "a policy without a certificate does not say");
+  launch::LeaseRequest joins{.path = path, .app = session.app.name, .xpus = {}, .demand = {}};
+  joins.xpus = launch::shareable_xpus(session);
+  if (joins.xpus.empty()) return {};
+  if (const std::string why = why_no_demand(flags, run); !why.empty()) {
+    if (asked) return fail(ErrorCode::kInvalid, "cannot be: " + why, "--system");
+    log::warn("does not join {}: {}; it brings coordinators of its own", path, why);
     return {};
   }
-  if (!says)
-    return fail(ErrorCode::kInvalid, "is for one policy of keys that is certified", "--system");
+  joins.num_xnodes = static_cast<std::uint32_t>(session.app.xnodes.size());
   session.keys = held_in_place_of_order(std::move(*session.keys), [&](int xpu) {
-    return std::ranges::any_of(xpus, [&](const launch::JoinXpu& one) {
+    return std::ranges::any_of(joins.xpus, [&](const launch::JoinXpu& one) {
       return one.id == session.platform.xpus[static_cast<std::size_t>(xpu)].id;
     });
   });
   session.policy = assignment_of(*session.keys);
   XAUTO_ASSIGN(const Demand demand,
                solver::keys::demand_of(session.app, session.platform, *session.keys));
-  request.demand = to_json(demand);
-  request.system_socket = path;
+  joins.demand = to_json(demand);
+  request.joins = std::move(joins);
   return {};
 }
 

@@ -20,6 +20,7 @@
 #include "coord/port.h"
 #include "launch/system_lease.h"
 #include "launch/system_service.h"
+#include "model/json.h"
 #include "model/json_value.h"
 
 namespace xauto::launch {
@@ -36,16 +37,30 @@ void wait_for(const std::function<bool()>& done) {
   EXPECT_TRUE(is);
 }
 
-/// Admits all but those whose demand is "too much".
-Status by_word(const std::vector<const Tenant*>& there, const Tenant& comes) {
-  if (comes.demand == "too much")
-    return fail(ErrorCode::kInfeasible, "core0 has no room beside " + std::to_string(there.size()));
+/// Work of the one job that a run here demands, by which the tests' admissions know it.
+enum Work : std::int64_t { kSome = 1, kSmall, kBig, kTooMuch };
+Work work_of(const Demand& demand) {
+  return static_cast<Work>(demand.xpus.front().sequences.front().jobs.front().work);
+}
+std::string demand_of(Work work) {
+  DemandOnXpu on;
+  on.xpu.id = "cpu0";
+  on.xpu.preemptive = true;
+  on.sequences = {{.period = 1000, .jobs = {{.key = 100, .work = work}}}};
+  return to_json(Demand{1, {on}});
+}
+
+/// Admits all but those who ask for too much.
+Status by_work(const std::vector<Demand>& demands) {
+  if (work_of(demands.back()) == kTooMuch)
+    return fail(ErrorCode::kInfeasible,
+                "core0 has no room beside " + std::to_string(demands.size() - 1));
   return {};
 }
 
 class Service {
  public:
-  explicit Service(Admission admission = by_word) {
+  explicit Service(Admission admission = by_work) {
     char folder[] = "/tmp/xauto-system-XXXXXX";
     folder_ = mkdtemp(folder);
     path_ = folder_ + "/coordinator.sock";
@@ -64,11 +79,11 @@ class Service {
     fs::remove_all(folder_);
   }
   [[nodiscard]] const std::string& path() const { return path_; }
-  [[nodiscard]] Result<SystemLease> lease(const std::string& app,
-                                          const std::string& demand = "some",
+  [[nodiscard]] Result<SystemLease> lease(const std::string& app, Work work = kSome,
                                           Discipline discipline = Discipline::kPreemptive,
                                           const char* hardware = "core0") const {
-    LeaseRequest request{.path = path_, .app = app, .num_xnodes = 10, .xpus = {}, .demand = demand};
+    LeaseRequest request{
+        .path = path_, .app = app, .num_xnodes = 10, .xpus = {}, .demand = demand_of(work)};
     JoinXpu& xpu = request.xpus.emplace_back();
     std::strcpy(xpu.id, "cpu0");
     std::strcpy(xpu.hardware, hardware);
@@ -185,12 +200,12 @@ TEST(System, WhoIsRefusedIsToldWhyAndDisturbsNobody) {
   const auto a = service.lease("a");
   ASSERT_TRUE(a);
   Worker worker(*a, 0);
-  const auto refused = service.lease("b", "too much");
+  const auto refused = service.lease("b", kTooMuch);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, ErrorCode::kInfeasible);
   EXPECT_NE(refused.error().what.find("core0 has no room beside 1"), std::string::npos)
       << refused.error().what;
-  const auto otherwise = service.lease("c", "some", Discipline::kGate);
+  const auto otherwise = service.lease("c", kSome, Discipline::kGate);
   ASSERT_FALSE(otherwise);
   EXPECT_NE(otherwise.error().what.find("core0 is shared as"), std::string::npos);
   worker.port().start(job(0, 0, 1));
@@ -201,19 +216,18 @@ TEST(System, WhoIsRefusedIsToldWhyAndDisturbsNobody) {
 /// docs/keys.md, "Apps compose": a share is free when its XPUs have been idle since. Here one is admitted at a time.
 TEST(System, WhoComesWaitsUntilWhoLeftHasGivenBackWhatHeHad) {
   std::atomic<int> refused{0};
-  const Service service(
-      [&](const std::vector<const Tenant*>& there, const Tenant& comes) -> Status {
-        const auto big = [](const Tenant* one) { return one->demand == "big"; };
-        if (comes.demand != "big" || std::none_of(there.begin(), there.end(), big)) return {};
-        ++refused;
-        return fail(ErrorCode::kInfeasible, "core0 is full");
-      });
-  const auto small = service.lease("small", "small");
+  const Service service([&](const std::vector<Demand>& demands) -> Status {
+    const auto big = [](const Demand& one) { return work_of(one) == kBig; };
+    if (!big(demands.back()) || std::none_of(demands.begin(), demands.end() - 1, big)) return {};
+    ++refused;
+    return fail(ErrorCode::kInfeasible, "core0 is full");
+  });
+  const auto small = service.lease("small", kSmall);
   ASSERT_TRUE(small);
   Worker worker(*small, 0);
   worker.port().start(job(0, 0, 1));  // core0 is not idle
   {
-    const auto first = service.lease("first", "big");
+    const auto first = service.lease("first", kBig);
     ASSERT_TRUE(first);
   }
   std::thread ends([&] {
@@ -221,7 +235,7 @@ TEST(System, WhoComesWaitsUntilWhoLeftHasGivenBackWhatHeHad) {
     worker.port().finish();
   });
   const std::int64_t begun = now_ns();
-  const auto second = service.lease("second", "big");
+  const auto second = service.lease("second", kBig);
   EXPECT_TRUE(second) << second.error().to_string();
   EXPECT_GE(refused.load(), 8);
   EXPECT_LT(now_ns() - begun, kGiveBackNs);
@@ -319,12 +333,12 @@ TEST(System, ACoordinatorGoesWithTheLastRun) {
     const auto a = service.lease("a");
     ASSERT_TRUE(a);
     EXPECT_EQ(coordinators().size(), 1u);
-    const auto b = service.lease("b", "some", Discipline::kGate, "gpu0");
+    const auto b = service.lease("b", kSome, Discipline::kGate, "gpu0");
     ASSERT_TRUE(b);
     EXPECT_EQ(coordinators().size(), 2u);
   }
   wait_for([] { return coordinators().empty(); });
-  const auto again = service.lease("c", "some", Discipline::kGate);
+  const auto again = service.lease("c", kSome, Discipline::kGate);
   EXPECT_TRUE(again);  // nobody has it otherwise any more
 }
 
