@@ -137,6 +137,63 @@ TEST(KeysTogether, WhatIsAcceptedIsNeverLateAndWhatIsRefusedMostlyIs) {
   EXPECT_GE(t.per_app_late, 1) << "that a wrong test is wrong is never seen";
 }
 
+/// docs/keys.md, "Order": v held until its `a`, in place of its pairs, keeps all `a`, all keys and all worst cases. The
+/// source of the figures is the check of either policy.
+TEST(KeysTogether, HoldsInPlaceOfOrderChangeNoWorstCase) {
+  int pairs = 0;
+  for (std::uint64_t seed = 1; seed <= 200; ++seed) {
+    attack::Wanted wanted = attack::kind_of(seed).wanted;
+    wanted.order = true;
+    Case c = attack::random_app(seed, wanted);
+    if (!attack::widen(c, 7, 100)) continue;
+    attack::add_order(c, seed);
+    if (c.policy.order.empty() || !attack::claim_all(c)) continue;
+    pairs += static_cast<int>(c.policy.order.size());
+    Case held = c;
+    held.policy = held_in_place_of_order(c.policy, [](int) { return true; });
+    EXPECT_TRUE(held.policy.order.empty());
+    ASSERT_TRUE(validate(held.policy, c.app, c.platform)) << seed;
+    const auto report = check(held.app, held.platform, held.policy);
+    ASSERT_TRUE(report) << seed << report.error().to_string();
+    for (std::size_t k = 0; k < c.app.chains.size(); ++k)
+      EXPECT_LE(report->chains[k].derived_us, c.policy.chains[k].worst_case_us) << seed;
+    // Pairs of XPUs that nobody shares stay.
+    EXPECT_EQ(held_in_place_of_order(c.policy, [](int) { return false; }), c.policy);
+  }
+  EXPECT_GE(pairs, 100);
+}
+
+/// By demands alone, as xauto-system asks: the source is the attack, which shares no code with it. Whoever holds alone
+/// may be alone.
+TEST(KeysTogether, WhatDemandsAloneAdmitIsNeverLate) {
+  int admitted = 0, refused = 0, alone = 0, alone_refused = 0;
+  for (std::uint64_t seed = 1; seed <= 150; ++seed) {
+    const attack::Pairs pairs = attack::random_pairs(seed);
+    for (const auto* found : {&pairs.accepted, &pairs.refused, &pairs.just}) {
+      if (!*found) continue;
+      const attack::Pair pair = pair_of((*found)->each[0], (*found)->each[1]);
+      const Demand a = demand(pair.each[0]), b = demand(pair.each[1]);
+      for (const Demand& one : {a, b}) {
+        ++alone;
+        if (!check_together({one})) ++alone_refused;
+      }
+      const bool fits = check_together({a, b}).has_value();
+      EXPECT_EQ(fits, check_together({b, a}).has_value()) << seed;
+      ++(fits ? admitted : refused);
+      if (!fits) continue;
+      EXPECT_TRUE(pair.accepted) << seed;
+      const Case& c = pair.together;
+      EXPECT_FALSE(
+          attack::attack(c.app, c.platform, c.policy, {5000, seed, {}, pair.app_of}).broken())
+          << seed;
+    }
+  }
+  std::printf("%d admitted, %d refused; alone %d of %d refused\n", admitted, refused, alone_refused,
+              alone);
+  EXPECT_GE(admitted, 60);
+  EXPECT_GE(refused, 60);
+}
+
 /// Whoever asks for no more than what is left, in windows that block nobody, is accepted whatever he is.
 TEST(KeysTogether, AReserveIsForWhoeverAsksForNoMore) {
   int met = 0, kept = 0;
