@@ -197,7 +197,9 @@ Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
   ssize_t received;
   do {
     received = recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
-  } while (received < 0 && errno == EINTR);
+    // ECONNRESET: the peer has closed with something of ours unread. It is said once (unix_release_sock(),
+    // net/unix/af_unix.c), and before what the peer had said.
+  } while (received < 0 && (errno == EINTR || errno == ECONNRESET));
 
   std::vector<UniqueFd> passed;  // closed here unless the caller wants them
   for (cmsghdr* header = CMSG_FIRSTHDR(&message); received >= 0 && header != nullptr;

@@ -40,16 +40,22 @@ class System(unittest.TestCase):
                      "--max-evaluations", 400, "--time-limit", "60s", "--out", self.at / name / "policy.json", *more)
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
 
-    def start(self, name, period_us, seconds, system=None, before=()):
+    def start(self, name, period_us, seconds=None, system=None, before=()):
+        """Without `seconds` it goes on until it is told to end."""
         at = self.at / name
+        how_long = ("--duration", f"{seconds}s") if seconds else ("--activations", "0")
         run = subprocess.Popen(
             [*before, BIN / "xauto", "run", "--app", at / "app.json", "--platform", at / "platform.json", "--policy", at / "policy.json",
-             "--duration", f"{seconds}s", "--system", system or self.socket, "--out", at / "report.json", "--", TESTAPP,
+             *how_long, "--system", system or self.socket, "--out", at / "report.json", "--", TESTAPP,
              at / "result", "period", str(period_us)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self.addCleanup(run.stdout.close)
         self.addCleanup(run.wait)
         self.addCleanup(run.kill)
         return run
+
+    def stopped(self, run, name):
+        run.send_signal(signal.SIGTERM)
+        return self.ended(run, name)
 
     def ended(self, run, name, status=0):
         said, _ = run.communicate(timeout=60)
@@ -65,7 +71,7 @@ class System(unittest.TestCase):
         return [pid for pid, name in children_of(self.service.pid).items() if name.startswith("xauto-coord")]
 
     def test_who_fits_comes_and_who_does_not_is_told_why(self):
-        first, second = self.start("first", 40_000, 4), self.start("second", 50_000, 4)
+        first, second = self.start("first", 40_000), self.start("second", 50_000)
         wait_for("both", lambda: sorted(self.admitted()) == ["first", "second"], first)
         self.assertEqual(len(self.coordinators()), 2)  # of a core and of npu0, whoever uses them
         shown = xauto("top", "--system", self.socket, "--once", "--interval", "50ms").stdout
@@ -76,14 +82,14 @@ class System(unittest.TestCase):
         self.assertRegex(said, r"third: is not admitted: XPU (core\d+|npu0).*(too much|load it by)")
         for run, name, other in ((first, "first", second), (second, "second", first)):
             # Who is admitted is no stranger; tests that run beside this one are.
-            self.assertNotIn(f"run {other.pid}-0", " ".join(self.ended(run, name)["claims"]["broken"]))
+            self.assertNotIn(f"run {other.pid}-0", " ".join(self.stopped(run, name)["claims"]["broken"]))
         wait_for("nobody", lambda: self.admitted() == [] and self.coordinators() == [])
 
     def test_coordinators_and_runs_that_are_killed_take_nobody_with_them(self):
-        first = self.start("first", 40_000, 8)
+        first = self.start("first", 40_000)
         wait_for("the first", lambda: self.admitted() == ["first"] and len(self.coordinators()) == 2, first)
         for _ in range(5):
-            second = self.start("second", 50_000, 30)
+            second = self.start("second", 50_000)
             wait_for("the second", lambda: "second" in self.admitted(), second)
             victim = self.coordinators()[0]
             os.kill(victim, signal.SIGKILL)
@@ -91,13 +97,15 @@ class System(unittest.TestCase):
             second.send_signal(signal.SIGKILL)
             second.wait()
             wait_for("it has left", lambda: self.admitted() == ["first"])
-        self.assertEqual(self.ended(first, "first")["lost_activations"], 0)
+        self.assertEqual(self.stopped(first, "first")["lost_activations"], 0)
 
     def test_the_service_is_killed(self):
-        first = self.start("first", 40_000, 3)
+        first = self.start("first", 40_000)
         wait_for("the first", lambda: self.admitted() == ["first"])
         time.sleep(0.5)
         self.service.send_signal(signal.SIGKILL)
+        time.sleep(0.5)
+        first.send_signal(signal.SIGTERM)
         said, _ = first.communicate(timeout=60)
         self.assertIn("xauto-system ended", said)
         self.assertEqual(first.returncode, 1)  # it ran to its end, and says that nobody scheduled it
@@ -118,13 +126,13 @@ class System(unittest.TestCase):
         away = ("unshare", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
         if subprocess.run([*away, "true"], capture_output=True).returncode != 0:
             self.skipTest("only root makes namespaces")
-        first = self.start("first", 40_000, 4)
+        first = self.start("first", 40_000)
         wait_for("the first", lambda: self.admitted() == ["first"], first)
-        second = self.start("second", 50_000, 2, before=away)
+        second = self.start("second", 50_000, 5, before=away)
         wait_for("the second", lambda: sorted(self.admitted()) == ["first", "second"], second)
         self.assertEqual(len(self.coordinators()), 2)
         self.assertEqual(self.ended(second, "second")["lost_activations"], 0)
-        self.ended(first, "first")
+        self.stopped(first, "first")
 
     def test_a_run_at_other_rates_than_it_states_is_not_asked_for(self):
         for more in (("--period", "5ms"), ("--lockstep",)):

@@ -144,6 +144,23 @@ TEST(Socket, PacketsAndDescriptorsArrive) {
   EXPECT_FALSE(connect_abstract("xauto-test/nobody"));
 }
 
+/// It hears why, though the kernel first says ECONNRESET: the other end has closed with something unread.
+TEST(Socket, WhoIsSentAwayBeforeHeHasSaidAllHearsWhy) {
+  int ends[2];
+  ASSERT_EQ(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends), 0);
+  const UniqueFd ours(ends[0]);
+  {
+    const UniqueFd theirs(ends[1]);
+    ASSERT_TRUE(send_packet(ours.get(), "please", 6));
+    ASSERT_TRUE(send_packet(theirs.get(), "no", 2));
+  }
+  char text[8] = {};
+  const auto size = receive_packet(ours.get(), text, sizeof text);
+  ASSERT_TRUE(size) << size.error().to_string();
+  EXPECT_EQ(std::string(text), "no");
+  EXPECT_EQ(receive_packet(ours.get(), text, sizeof text).error().code, ErrorCode::kUnavailable);
+}
+
 TEST(Socket, WhoDoesNotReadOrAcceptKeepsNobodyWaiting) {
   const std::string address = "xauto-test/idle-" + std::to_string(getpid());
   const auto listener = listen_abstract(address);
