@@ -143,6 +143,16 @@ class App {
   /// run goes on, or it has no tables.
   [[nodiscard]] Status request_mode(const std::string& name);
 
+  /// In a run by priorities: from its next job on the XNode's jobs have this one; the larger goes first. No claim is made
+  /// of the run any more, and its report says so. As `xauto prio` does. Threads: as request_mode. Errors: kNotFound:
+  /// there is no such XNode; kInvalid: out of range, or the run is by keys; kUnavailable: no run goes on, nobody
+  /// schedules it, or the XNode is on a real core under SCHED_FIFO, whose ranks are set before the run.
+  [[nodiscard]] Status set_priority(const std::string& xnode, std::int64_t priority);
+  /// The same in a run by keys: each job is to be done so long after its nominal release, 0 to 11 days.
+  [[nodiscard]] Status set_key(const std::string& xnode, std::chrono::microseconds key);
+  /// The policy's is back.
+  [[nodiscard]] Status as_planned(const std::string& xnode);
+
   /// Everything that is wrong with the graph as declared: names each module, XNode and topic
   /// involved. Error: kInvalid.
   [[nodiscard]] Status check() const;

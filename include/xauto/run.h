@@ -27,7 +27,7 @@ class RunOptions {
   /// policy.json, or tables.json: each release gets one of its policies (docs/modes.md). Likewise.
   /// Needed unless the scheduling is "ros2".
   RunOptions& policy(std::string path_or_text);
-  /// "small", "large", "core-ultra", a platform.json, or its text. Default: "small".
+  /// A built-in one ("small", "orin", ...: docs/formats.md), a platform.json, or its text. Default: "small".
   RunOptions& platform(std::string name_or_path_or_text);
   /// deployment.json, likewise. Its modules must stay in one process.
   RunOptions& deployment(std::string path_or_text);

@@ -119,6 +119,8 @@ using DecodeInto = void (*)(void*, std::span<const std::byte>);
 using StampNs = std::int64_t (*)(const void*);
 
 std::shared_ptr<TopicSpec> make_topic(const std::string& name, const std::type_info& type);
+/// Of a name alone: what it carries says a Topic of that name elsewhere in the app.
+TopicHandle make_topic(const std::string& name);
 void set_codec(TopicSpec& topic, Encode encode, Decode decode);
 /// Into a message that somebody had before; throws as decode does.
 void set_decode_into(TopicSpec& topic, DecodeInto decode);
@@ -198,6 +200,11 @@ class Input {
   template <class T>
   [[nodiscard]] const T& get(const Topic<T>& topic) const {
     return *static_cast<const T*>(find(topic.name(), typeid(T)).get());
+  }
+  /// The same by its name: get<T>("name"). Throws as well if it carries another type.
+  template <class T>
+  [[nodiscard]] const T& get(const std::string& topic) const {
+    return *static_cast<const T*>(find(topic, typeid(T)).get());
   }
   /// The same, shared: to keep a message in the state without copying it.
   template <class T>

@@ -79,6 +79,13 @@ class XModule {
     return *this;
   }
 
+  /// The same by its name alone: what it carries is known from a Topic of that name elsewhere in the app, its source's or
+  /// its publisher's. If there is none, App::check() says so. Input::get<T>("name") reads it.
+  XModule& add_input_topic(const std::string& name) {
+    detail::add_input(*spec_, detail::make_topic(name));
+    return *this;
+  }
+
   /// The module's XNodes may look at the newest message of this topic (Input::sampled). It fires
   /// nobody, and nobody waits for it: so modules of different rates meet, and cycles are possible.
   /// It is read when the first XNode of an activation starts. One that is older than `max_age`

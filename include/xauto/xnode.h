@@ -21,14 +21,19 @@ namespace detail {
 struct XNodeSpecErased;
 /// `object`: set to what the implementation owns of one XPU instance; destroyed on the worker's
 /// thread when the run ends.
-using Init = std::function<SchedHandle(const XpuId&, std::shared_ptr<void>& object)>;
+using Init = std::function<SchedHandle(const XpuId&, void* state, std::shared_ptr<void>& object)>;
 using Exec = std::function<Status(void* object, void* state, const Input&)>;
 
 std::shared_ptr<XNodeSpecErased> make_xnode(std::string name);
 const std::string& name_of(const XNodeSpecErased& xnode);
-void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec);
+struct Stage {
+  Init init;
+  Exec exec;
+  bool init_sees_state = false;  ///< it is called again for another State
+};
+void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Stage stage);
 void add_variant(XNodeSpecErased& xnode, const std::string& variant, int quality_pct,
-                 const XPU& xpu, Init init, Exec exec);
+                 const XPU& xpu, Stage stage);
 void add_parameter(XNodeSpecErased& xnode, ParameterHandle parameter);
 
 }  // namespace detail
@@ -69,8 +74,9 @@ class XNode {
 
   /// Adds the implementation for one type of XPU.
   ///
-  /// init, of a `const XpuId&`: called once per XPU instance on which this XNode is to run, on the worker's execution
-  ///   thread, before the first exec. Load the weights, create the context. It returns
+  /// init, of a `const XpuId&`, or of `(State&, const XpuId&)`: called once per XPU instance on which this XNode is to
+  ///   run, and per State, on the worker's execution thread, before the first exec; those of one State one after the
+  ///   other. Load the weights, create the context. It returns
   ///   - `SchedHandle`, or a CUcontext or cudlaDevHandle itself, if the implementation owns nothing, or
   ///   - `Owned<T>` (see own()): the T is this instance's, is given to each exec there, and is
   ///     destroyed on the same thread when the run ends, in the reverse order of the inits.
@@ -79,8 +85,7 @@ class XNode {
   ///   An exception or an error drops the activation, is counted and reported; the App goes on.
   template <class Init, class Exec>
   XNode& add_impl(const XPU& xpu, Init init, Exec exec) {
-    auto [erased_init, erased_exec] = erase(std::move(init), std::move(exec));
-    detail::add_impl(*spec_, xpu, std::move(erased_init), std::move(erased_exec));
+    detail::add_impl(*spec_, xpu, erase(std::move(init), std::move(exec)));
     return *this;
   }
 
@@ -91,9 +96,7 @@ class XNode {
   template <class Init, class Exec>
   XNode& add_variant(const std::string& variant, int quality_pct, const XPU& xpu, Init init,
                      Exec exec) {
-    auto [erased_init, erased_exec] = erase(std::move(init), std::move(exec));
-    detail::add_variant(*spec_, variant, quality_pct, xpu, std::move(erased_init),
-                        std::move(erased_exec));
+    detail::add_variant(*spec_, variant, quality_pct, xpu, erase(std::move(init), std::move(exec)));
     return *this;
   }
 
@@ -111,29 +114,36 @@ class XNode {
   template <class>
   friend class XModule;
   template <class Init, class Exec>
-  static std::pair<detail::Init, detail::Exec> erase(Init init, Exec exec) {
-    static_assert(std::is_invocable_v<Init, const XpuId&>, "init takes a const XpuId&");
-    using Made = std::invoke_result_t<Init, const XpuId&>;
+  static detail::Stage erase(Init init, Exec exec) {
+    constexpr bool kSeesState = std::is_invocable_v<Init&, State&, const XpuId&>;
+    static_assert(kSeesState || std::is_invocable_v<Init&, const XpuId&>,
+                  "init takes a const XpuId&, or (State&, const XpuId&)");
+    auto make = [init = std::move(init)](const XpuId& id, void* state) mutable {
+      if constexpr (kSeesState)
+        return init(*static_cast<State*>(state), id);
+      else
+        return init(id);
+    };
+    using Made = std::invoke_result_t<decltype(make)&, const XpuId&, void*>;
     using Object = typename detail::OwnedBy<Made>::Object;
     if constexpr (std::is_void_v<Object>) {
       static_assert(std::is_convertible_v<Made, SchedHandle>,
                     "init returns a SchedHandle, or what own() makes");
       static_assert(takes<Exec, State&>,
                     "exec is void or Status of (State&, const Input&) or (State&)");
-      return {
-          [init = std::move(init)](const XpuId& id, std::shared_ptr<void>&) mutable -> SchedHandle {
-            return init(id);
-          },
-          [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
-            return call(exec, input, *static_cast<State*>(state));
-          }};
+      return {[make = std::move(make)](const XpuId& id, void* state, std::shared_ptr<void>&) mutable
+              -> SchedHandle { return make(id, state); },
+              [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
+                return call(exec, input, *static_cast<State*>(state));
+              },
+              kSeesState};
     } else {
       static_assert(takes<Exec, Object&, State&>,
                     "exec is void or Status of (T&, State&, const Input&) or (T&, State&), T being "
                     "what init owns");
-      return {[init = std::move(init)](const XpuId& id,
+      return {[make = std::move(make)](const XpuId& id, void* state,
                                        std::shared_ptr<void>& object) mutable -> SchedHandle {
-                Owned<Object> made = init(id);
+                Owned<Object> made = make(id, state);
                 if (made.object == nullptr) throw std::logic_error("init owns a null object");
                 object = std::move(made.object);
                 return std::move(made.handle);
@@ -142,7 +152,8 @@ class XNode {
                                        const Input& input) mutable -> Status {
                 return call(exec, input, *static_cast<Object*>(object),
                             *static_cast<State*>(state));
-              }};
+              },
+              kSeesState};
     }
   }
   template <class Exec, class... Arguments>

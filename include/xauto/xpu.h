@@ -16,7 +16,7 @@ struct cudlaDevHandle_t;  // and a cudlaDevHandle of cudla.h
 
 namespace xauto {
 
-/// A type of processor. The three of a Jetson have names; any other word names an XPU of the app's
+/// A type of processor. Those of a Jetson have names; any other word names an XPU of the app's
 /// own. That one is gated (one job at a time, not preempted), unless platform.json says that it is
 /// preemptive; then its handles must be SchedHandle::custom().
 class XPU {
@@ -31,6 +31,8 @@ class XPU {
   static const XPU CPU;  ///< `"cpu"`
   static const XPU GPU;  ///< `"gpu"`
   static const XPU DLA;  ///< `"dla"`
+  static const XPU VIC;  ///< `"vic"`, the Video Image Compositor; gated
+  static const XPU PVA;  ///< `"pva"`, the Programmable Vision Accelerator; gated
 
  private:
   std::string type_;
@@ -38,6 +40,8 @@ class XPU {
 inline const XPU XPU::CPU{"cpu"};
 inline const XPU XPU::GPU{"gpu"};
 inline const XPU XPU::DLA{"dla"};
+inline const XPU XPU::VIC{"vic"};
+inline const XPU XPU::PVA{"pva"};
 
 /// One XPU instance, e.g. {"gpu0", XPU::GPU, 0}; what `init` receives. It names the instance and
 /// nothing else: whatever there is to know of one is asked by a function that takes an XpuId.

@@ -12,6 +12,7 @@
 #include "graph/deployed.h"
 #include "graph/graph.h"
 #include "launch/keeper.h"
+#include "model/json_value.h"
 #include "session/notes.h"
 #include "session/session.h"
 
@@ -93,11 +94,25 @@ App& App::on_end(std::function<void()> callback) {
 }
 
 Status App::request_mode(const std::string& name) {
-  return data_->spec.modes->ask(name);
+  return data_->spec.requests->ask(Json{{"mode", name}}.dump(), "App::request_mode");
+}
+
+Status App::set_priority(const std::string& xnode, std::int64_t priority) {
+  return data_->spec.requests->ask(Json{{"xnode", xnode}, {"priority", priority}}.dump(),
+                                   "App::set_priority");
+}
+
+Status App::set_key(const std::string& xnode, std::chrono::microseconds key) {
+  return data_->spec.requests->ask(Json{{"xnode", xnode}, {"key_us", key.count()}}.dump(),
+                                   "App::set_key");
+}
+
+Status App::as_planned(const std::string& xnode) {
+  return data_->spec.requests->ask(Json{{"xnode", xnode}}.dump(), "App::as_planned");
 }
 
 Status App::check() const {
-  detail::add_timers(data_->spec);
+  detail::complete(data_->spec);
   XAUTO_TRY(runtime::Graph::build(data_->spec));
   return {};
 }
@@ -125,12 +140,12 @@ void App::stop() {
 }
 
 int App::main(int, char** argv) {
-  detail::add_timers(data_->spec);
+  detail::complete(data_->spec);
   return app::program(data_->spec, argv);
 }
 
 Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_ptr<Data>& self) {
-  detail::add_timers(spec);
+  detail::complete(spec);
   XAUTO_ASSIGN(runtime::Session session, options.data_->session());
   const bool renamed = detail::renames(session.deployment);
   detail::AppSpecErased deployed;

@@ -161,7 +161,8 @@ Fire& Fire::on(const std::string& xnode, const XPU& type) {
 // NOLINTNEXTLINE(performance-unnecessary-value-param)
 void Fire::put(detail::TopicHandle topic, std::shared_ptr<const void> message) {
   for (std::size_t i = 0; i < data_->topics.size(); ++i)
-    if (const detail::TopicSpec& input = data_->topics[i]; input.name == topic->name) {
+    if (detail::TopicSpec& input = data_->topics[i]; input.name == topic->name) {
+      if (detail::is_name_alone(input)) input = *topic;  // who puts it knows what it carries
       if (input.type == topic->type) {
         data_->messages[i] = std::move(message);
         data_->put_ns[i] = *data_->clock_ns;
@@ -241,7 +242,7 @@ Status Fire::Data::prepare() {
     if (node.impl == nullptr) node.impl = &node.spec->impls.front();
     const XpuId id{node.impl->xpu.type() + "0", node.impl->xpu, 0};
     XAUTO_TRY(contained("init of XNode '" + node.spec->name + "' on " + id.name, [&]() -> Status {
-      node.made.handle = node.impl->init(id, node.made.object);
+      node.made.handle = node.impl->init(id, state.get(), node.made.object);
       return {};
     }));
     node.ready = true;

@@ -97,7 +97,9 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     board.tell_unkept(unkept);
     board.open_to_observers();
   }
-  app.modes->bind([&board](const std::string& name) { return ask_for_scenario(board, name); });
+  app.requests->bind([&board](const std::string& request) {
+    return answer_error(answer_request(request, &board));
+  });
   XAUTO_TRY(e.wiring_->start());
   XAUTO_ASSIGN(e.hangs_, HangWatch::make(*e.context_, *e.wiring_, *e.role_, e.placing_.limits));
   return engine;
@@ -118,7 +120,7 @@ void Engine::note_chain_ends() {
 }
 
 Engine::~Engine() {
-  app_.modes->bind(nullptr);
+  app_.requests->bind(nullptr);
   releaser_.reset();  // its watch looks at the workers, and at the role's board
   hangs_.reset();
   if (wiring_) wiring_->join();  // until then its threads need the role

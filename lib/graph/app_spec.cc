@@ -34,19 +34,20 @@ void add(XNodeSpecErased& xnode, ImplSpec added) {
 
 }  // namespace
 
-void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec) {
-  add(xnode, {xpu, std::move(init), std::move(exec)});
+void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Stage stage) {
+  add(xnode, {xpu, std::move(stage.init), std::move(stage.exec), "", 100, stage.init_sees_state});
 }
 
 void add_variant(XNodeSpecErased& xnode, const std::string& variant, int quality_pct,
-                 const XPU& xpu, Init init, Exec exec) {
+                 const XPU& xpu, Stage stage) {
   if (variant.empty())
     xnode.misuse.push_back("XNode '" + xnode.name + "' has a variant without a name");
   else if (quality_pct < 1 || quality_pct > 100)
     xnode.misuse.push_back("variant '" + variant + "' of XNode '" + xnode.name + "': " +
                            std::to_string(quality_pct) + " is not a quality from 1 to 100 %");
   else
-    add(xnode, {xpu, std::move(init), std::move(exec), variant, quality_pct});
+    add(xnode, {xpu, std::move(stage.init), std::move(stage.exec), variant, quality_pct,
+                stage.init_sees_state});
 }
 
 std::shared_ptr<XModuleSpec> make_xmodule(std::string name,
@@ -106,6 +107,8 @@ std::vector<ParameterHandle> parameters_of(const XModuleSpec& module) {
   return all;
 }
 
+namespace {
+
 void add_timers(AppSpecErased& app) {
   for (const auto& module : app.modules) {
     if (!module->timer) continue;
@@ -118,6 +121,38 @@ void add_timers(AppSpecErased& app) {
            return make_message<std::uint64_t>(memory, [&] { return number; });
          }});
   }
+}
+
+/// The topic of this name of which the type was said; null: nobody said it.
+const TopicSpec* typed(const AppSpecErased& app, const std::string& name) {
+  const auto is_it = [&](const TopicSpec& topic) {
+    return topic.name == name && !is_name_alone(topic);
+  };
+  for (const SourceSpec& source : app.sources)
+    if (is_it(source.topic)) return &source.topic;
+  for (const auto& module : app.modules) {
+    for (const OutputSpec& output : module->outputs)
+      if (is_it(output.topic)) return &output.topic;
+    for (const TopicSpec& input : module->inputs)
+      if (is_it(input)) return &input;
+    for (const SampleSpec& sample : module->samples)
+      if (is_it(sample.topic)) return &sample.topic;
+  }
+  return nullptr;
+}
+
+void add_types(AppSpecErased& app) {
+  for (const auto& module : app.modules)
+    for (TopicSpec& input : module->inputs)
+      if (is_name_alone(input))
+        if (const TopicSpec* known = typed(app, input.name)) input = *known;
+}
+
+}  // namespace
+
+void complete(AppSpecErased& app) {
+  add_timers(app);
+  add_types(app);
 }
 
 // By value: programs that were built before call them so.

@@ -29,6 +29,7 @@ struct ImplSpec {
   Exec exec;
   std::string variant = {};  ///< "": the XNode's own
   int quality_pct = 100;     ///< of the XNode's own
+  bool init_sees_state = false;
 };
 
 struct XNodeSpecErased {
@@ -96,19 +97,21 @@ struct ObserverSpec {
   Observe callback;
 };
 
-/// App::request_mode while a run goes on. Threads: any.
-class ModeRequests {
+/// What an app asks of its run while that goes on: App::request_mode, App::set_priority. Threads: any.
+class Requests {
  public:
-  using Ask = std::function<Status(const std::string& name)>;
+  /// As processes/mode.h's answer_request takes it, but for errors.
+  using Ask = std::function<Status(const std::string& request)>;
   /// Null: no run goes on.
   void bind(Ask ask) {
     const Guard lock(mutex_);
     ask_ = std::move(ask);
   }
-  [[nodiscard]] Status ask(const std::string& name) {
+  /// `where`: who asks, for the error.
+  [[nodiscard]] Status ask(const std::string& request, const char* where) {
     const Guard lock(mutex_);
-    if (ask_) return ask_(name);
-    return fail(ErrorCode::kUnavailable, "no run goes on", "App::request_mode");
+    if (ask_) return ask_(request);
+    return fail(ErrorCode::kUnavailable, "no run goes on", where);
   }
 
  private:
@@ -125,7 +128,7 @@ struct AppSpecErased {
   std::vector<DeadlineSpec> deadlines = {};
   std::vector<ClockOfSpec> clocks = {};
   std::vector<std::function<void()>> on_start, on_stop, on_end;
-  std::shared_ptr<ModeRequests> modes = std::make_shared<ModeRequests>();
+  std::shared_ptr<Requests> requests = std::make_shared<Requests>();
 };
 
 /// Of a rate as the program says it; not valid() where it cannot be.
@@ -136,8 +139,9 @@ void fire_every(XModuleSpec& module, Period period);
 /// What a module and its XNodes declare, each once, in the order of declaration.
 [[nodiscard]] std::vector<ParameterHandle> parameters_of(const XModuleSpec& module);
 
-/// Adds the sources that fire modules by the clock, once. Before the app is looked at.
-void add_timers(AppSpecErased& app);
+/// Adds the sources that fire modules by the clock, and what topics carry of which a module said the name alone; once.
+/// Before the app is looked at.
+void complete(AppSpecErased& app);
 
 /// Calls the app's own `callbacks` one after the other. Error: one threw.
 [[nodiscard]] Status call(const std::vector<std::function<void()>>& callbacks, const char* which,

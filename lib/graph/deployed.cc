@@ -141,7 +141,7 @@ Result<AppSpecErased> deployed(const AppSpecErased& app, const Deployment& deplo
         XAUTO_TRY(remap(*module, said.remap));
       }
   }
-  add_timers(result);
+  complete(result);
   return result;
 }
 

@@ -148,6 +148,11 @@ class Builder {
     }
     add_parameters(module);
     for (const detail::TopicSpec& input : spec.inputs) {
+      if (detail::is_name_alone(input)) {
+        problem("XModule '" + spec.name + "' reads topic '" + input.name +
+                "' by its name alone, and no Topic of that name says what it carries");
+        continue;
+      }
       const int t = topic(input, "XModule '" + spec.name + "' reads it");
       if (std::find(module.inputs.begin(), module.inputs.end(), t) != module.inputs.end())
         problem("XModule '" + spec.name + "' reads topic '" + input.name + "' twice");

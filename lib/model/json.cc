@@ -31,6 +31,7 @@ Result<Platform> parse_platform(std::string_view text, std::string_view origin, 
     if (x.has("timeslice_us")) xpu.timeslice_us = x["timeslice_us"].time();
     if (x.has("switch_us")) xpu.switch_us = x["switch_us"].time();
     if (x.has("levels")) xpu.levels = static_cast<int>(x["levels"].integer(0, kMaxLevels));
+    if (x.has("preempt_measured")) xpu.preempt_measured = x["preempt_measured"].boolean();
     if (x.has("emulated")) xpu.emulated = x["emulated"].boolean();
     platform.xpus.push_back(std::move(xpu));
   });
@@ -250,6 +251,7 @@ std::string to_json(const Platform& platform) {
                         {"timeslice_us", x.timeslice_us}};
     if (x.switch_us >= 0) xpu["switch_us"] = x.switch_us;
     if (x.levels > 0) xpu["levels"] = x.levels;
+    if (!x.preempt_measured) xpu["preempt_measured"] = false;
     if (x.emulated) xpu["emulated"] = *x.emulated;
     xpus.push_back(std::move(xpu));
   }

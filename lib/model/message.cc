@@ -53,6 +53,12 @@ std::shared_ptr<TopicSpec> make_topic(const std::string& name, const std::type_i
   return spec;
 }
 
+TopicHandle make_topic(const std::string& name) {
+  auto spec = std::make_shared<TopicSpec>();
+  spec->name = name;
+  return spec;
+}
+
 void set_codec(TopicSpec& topic, Encode encode, Decode decode) {
   topic.encode = encode;
   topic.decode = decode;

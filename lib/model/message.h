@@ -58,7 +58,7 @@ struct BufferedType {
 struct TopicSpec {
   std::string name;
   std::string called = {};  ///< by the program, where a deployment names it otherwise; else empty
-  std::type_index type = typeid(void);
+  std::type_index type = typeid(void);  ///< void: its name alone was said
   std::string type_name;
   /// Null where the type has no Codec.
   Encode encode = nullptr;
@@ -78,6 +78,10 @@ struct TopicSpec {
   EncodeInto encode_into = nullptr;
   StampNs stamp_ns = nullptr;  ///< of its header, ns since 1970; null: it has none
 };
+
+[[nodiscard]] inline bool is_name_alone(const TopicSpec& topic) {
+  return topic.type == typeid(void);
+}
 
 struct InputData {
   const std::vector<TopicSpec>* topics = nullptr;  ///< inputs, then what is sampled

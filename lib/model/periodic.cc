@@ -11,6 +11,7 @@
 
 #include "base/index.h"
 #include "model/components.h"
+#include "model/loss.h"
 #include "model/refusal.h"
 
 namespace xauto {

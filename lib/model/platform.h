@@ -29,6 +29,9 @@ struct Xpu {
   /// and each of at most levels - 1 others was preempted by the next. A job that is more urgent than
   /// all of them then waits until the one that runs has ended. 0: there is no such limit.
   int levels = 0;
+  /// preempt_us was measured on this kind of machine. If not, whoever claims by it says so, and a run compares it with
+  /// what suspending takes.
+  bool preempt_measured = true;
   /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
   /// xpu/presence.h.
   std::optional<bool> emulated = {};
@@ -54,18 +57,24 @@ struct Platform {
   /// The paper's configurations: "small" = 4 cpu + 1 gpu + 1 dla, "large" = 8 cpu + 1 gpu + 2 dla.
   /// GPU: preempt 275 us, DLA: 132 us, both with a time slice of 1 ms. "core-ultra", an Intel Core
   /// Ultra 7 155H: its 6 P-cores, its GPU with the three priority levels of i915 with GuC submission,
-  /// and its NPU, which preempts nothing. Costs are the Jetson's: nobody has measured its own.
+  /// and its NPU, which preempts nothing. The boards of NVIDIA's data sheets: "orin" (Jetson AGX Orin 64GB),
+  /// "orin-nx" (16GB), "orin-nano" (8GB), "xavier" (AGX Xavier), "thor" (T5000); VICs and PVAs preempt nothing.
+  /// Elsewhere than on the paper's Orin its costs stand in for those that nobody has measured.
   [[nodiscard]] static Result<Platform> builtin(std::string_view name);
 };
 
 /// What a `--platform` may be, for people.
-inline constexpr const char* kPlatformNames = "small, large, core-ultra, or a platform.json";
+inline constexpr const char* kPlatformNames =
+    "small, large, orin, orin-nx, orin-nano, xavier, thor, core-ultra, or a platform.json";
 
 /// Limits of a platform file.
 inline constexpr std::size_t kMaxXpus = 256;
 inline constexpr int kMaxLevels = 1024;
 inline constexpr std::int64_t kMaxTimeUs =
     1'000'000'000'000;  ///< about 11 days; sums stay far from overflow
+
+/// That its preempt_us is nobody's measurement, for people; empty: it is, or nothing is preempted there.
+[[nodiscard]] std::string unmeasured(const Xpu& xpu);
 
 /// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], levels 0 or in 2..kMaxLevels
 /// and only where it is preemptive, 1..kMaxXpus instances.

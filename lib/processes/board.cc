@@ -26,7 +26,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f4e;  // "XBON"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f50;  // "XBOP"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
@@ -209,6 +209,17 @@ void FlowLine::add(std::int64_t us, std::int64_t now_ns) {
 void FlowLine::add_urgent(std::int64_t us) {
   if (us > longest_urgent_us.load(std::memory_order_relaxed))
     longest_urgent_us.store(us, std::memory_order_relaxed);
+}
+
+std::string XNodeLine::words_of_asked() const {
+  const std::uint32_t times = asked_times.load();
+  if (times == 0) return {};
+  const std::int64_t now = asked.load();
+  const bool key = ordered.load() == static_cast<std::uint32_t>(Ordered::kKey);
+  return std::string(key ? "the key" : "the priority") + " of XNode '" + line_name(name) +
+         "' was changed by hand, " + std::to_string(times) + (times > 1 ? " times" : " time") +
+         (now == kAsPlanned ? "; it is the policy's again"
+                            : "; it is " + std::to_string(now) + (key ? " us" : ""));
 }
 
 std::string XpuLine::slow_suspensions() const {

@@ -169,7 +169,15 @@ struct alignas(64) ParameterLine {
   std::atomic<std::uint64_t> changes{};                       ///< [S]
 };
 
-/// Jobs of one XNode that has limits (session/limits.h).
+/// By what the jobs of an XNode are ordered.
+enum class Ordered : std::uint32_t {
+  kNobody,    ///< the run is not scheduled
+  kPriority,  ///< the larger goes first
+  kKey,       ///< by when after its release it is done
+  kRank,      ///< a SCHED_FIFO priority on a real core, one of those of the policy
+};
+
+/// Jobs of one XNode that has limits (session/limits.h), and how urgent they are (prio.h).
 struct alignas(64) XNodeLine {
   char name[kBoardNameBytes] = {}, module[kBoardNameBytes] = {};  ///< [H] before the run
   // [M]; overruns: of the budget
@@ -198,6 +206,15 @@ struct alignas(64) XNodeLine {
   std::atomic<std::uint32_t> moved{};
   /// The latter in words; empty: it was not.
   [[nodiscard]] std::string words_of_moved() const;
+  /// [M] before the run: Ordered; the policy's priority or first key in us, and how many keys it has.
+  std::atomic<std::uint32_t> ordered{}, keys{};
+  std::atomic<std::int64_t> planned{};
+  /// [S], and any process: likewise, as people ask; and how often they did.
+  static constexpr std::int64_t kAsPlanned = INT64_MIN;
+  std::atomic<std::int64_t> asked{kAsPlanned};
+  std::atomic<std::uint32_t> asked_times{};
+  /// In words; empty: nobody did.
+  [[nodiscard]] std::string words_of_asked() const;
   /// With tables: jobs past Limits::wcet_ns since the hub last looked, and as seen_job the longest.
   std::atomic<std::uint64_t> past_jobs{}, past_job{};
   static constexpr int kTableBits = 8;

@@ -116,7 +116,8 @@ class Watched {
   void jobs() {
     std::uint64_t jobs = 0, over = 0, overruns = 0, unended = 0, hangs = 0, moved = 0;
     const XNodeLine* worst = nullptr;
-    std::vector<std::string> of_wcets, of_hangs, of_moved;
+    std::vector<std::string> of_wcets, of_hangs, of_moved, of_asked;
+    std::uint64_t asked = 0;
     for (std::uint32_t n = 0; n < board_.shape().nodes; ++n) {
       const XNodeLine& line = board_.xnode(n);
       jobs += line.jobs.load();
@@ -128,6 +129,10 @@ class Watched {
       if (std::string text = line.words_of_moved(); !text.empty()) {
         ++moved;
         of_moved.push_back(std::move(text));
+      }
+      if (std::string text = line.words_of_asked(); !text.empty()) {
+        asked += line.asked_times.load();
+        of_asked.push_back(std::move(text));
       }
       if (const std::uint64_t count = line.hangs.load(); count > 0) {
         hangs += count;
@@ -150,6 +155,7 @@ class Watched {
     if (tables()) of_hangs.clear();
     account_.add("hang", hangs, std::move(of_hangs));
     account_.add("moved_thread", moved, std::move(of_moved));
+    account_.add("changed_urgency", asked, std::move(of_asked));
     account_.add("budget_overrun", overruns, std::string());
   }
 

@@ -5,6 +5,7 @@
 
 #include "model/json_value.h"
 #include "processes/parameters.h"
+#include "processes/prio.h"
 
 namespace xauto::runtime {
 namespace {
@@ -48,6 +49,7 @@ Status ask_for_scenario(Board& board, std::string_view name) {
 
 std::string answer_request(std::string_view request, Board* board) {
   const std::optional<Json> asked = Json::parse(request);
+  if (asked && asked->has("xnode")) return to_answer(change_urgency(*asked, board));
   if (!asked || !asked->has("mode")) return change_parameters(request, board);
   return to_answer(change_mode(*asked, board));
 }

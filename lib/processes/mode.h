@@ -17,8 +17,8 @@ namespace xauto::runtime {
 /// process that may write the board.
 [[nodiscard]] Status ask_for_scenario(Board& board, std::string_view name);
 
-/// Asked: {"mode": NAME}, or what change_parameters takes. The answer: {"was": {"mode": NAME}}, or
-/// {"error": {...}}, or what change_parameters gives. `board` is null before there is one. Threads: one.
+/// Asked: {"mode": NAME}, or what change_urgency or change_parameters takes. The answer: {"was": {"mode": NAME}}, or
+/// {"error": {...}}, or what those give. `board` is null before there is one. Threads: one.
 [[nodiscard]] std::string answer_request(std::string_view request, Board* board);
 
 }  // namespace xauto::runtime

@@ -197,11 +197,8 @@ class Run {
     Messages messages(graph_.topics.size());
     XAUTO_ASSIGN(const bool any, feed.next(messages));
     if (!any) return fail(ErrorCode::kInvalid, "has no release", session_.releases.input);
-    std::vector<std::shared_ptr<void>> states;
-    for (const Graph::Module& module : graph_.modules) states.push_back(module.spec->make_state());
-    const auto run_one = [&](int m) {
-      return run_module(m, placing, 0, states[static_cast<std::size_t>(m)].get(), messages);
-    };
+    make_states();
+    const auto run_one = [&](int m) { return run_module(m, placing, 0, messages); };
     for (const int m : graph_.module_order) XAUTO_TRY(run_one(m));
     placing.only = session_.load.xpu;
     std::vector<int> modules = graph_.module_order;
@@ -457,9 +454,7 @@ class Run {
       look_at_machine();
       XAUTO_ASSIGN(ProfileInput feed, ProfileInput::open(app_, graph_, session_, *inlets_));
       newest_.assign(graph_.topics.size(), nullptr);
-      std::vector<std::shared_ptr<void>> states;
-      for (const Graph::Module& module : graph_.modules)
-        states.push_back(module.spec->make_state());
+      make_states();
       Placing placing{{}, {}, beside};
       for (std::size_t n = 0; n < all.size(); ++n) {
         // Each once: a later pass that comes round to it again adds nothing new.
@@ -478,8 +473,7 @@ class Run {
                       "ends after " + std::to_string(k) + " releases, within the warm-up",
                       session_.releases.input, "record more, or use fewer --warmup");
         }
-        for (const int m : graph_.module_order)
-          XAUTO_TRY(run_module(m, placing, k, states[static_cast<std::size_t>(m)].get(), messages));
+        for (const int m : graph_.module_order) XAUTO_TRY(run_module(m, placing, k, messages));
         newest_ = std::move(messages);
         if (now_ns() - told > 1'000'000'000) {
           log::info("profile: {} of {} releases{}", done, total,
@@ -493,9 +487,14 @@ class Run {
     return {};
   }
 
-  Status run_module(int m, const Placing& placing, std::uint64_t k, void* state,
-                    Messages& messages) {
+  void make_states() {
+    states_.clear();
+    for (const Graph::Module& module : graph_.modules) states_.push_back(module.spec->make_state());
+  }
+
+  Status run_module(int m, const Placing& placing, std::uint64_t k, Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
+    void* const state = states_[static_cast<std::size_t>(m)].get();
     Input input = InputAccess::make();
     std::vector<detail::TopicSpec> topics = module.spec->inputs;
     for (const detail::SampleSpec& sample : module.spec->samples) topics.push_back(sample.topic);
@@ -603,13 +602,16 @@ class Run {
     }
     // A closure usually keeps the context that its last init made: coming back needs init again.
     const auto active = active_.find(n);
-    if (active == active_.end() || active->second.xpu != as.xpu || active->second.impl != as.impl) {
+    if (states_.empty()) make_states();
+    const std::shared_ptr<void>& state = states_[static_cast<std::size_t>(node.module)];
+    if (active == active_.end() || active->second.xpu != as.xpu || active->second.impl != as.impl ||
+        (as.impl->init_sees_state && active->second.state != state)) {
       const std::string where = "init of XNode '" + node.name + "' on " + x.id;
       active_.erase(n);  // its object goes before the next one comes
       detail::Made made;
       const auto before_kb = memory_before(n, as);
       try {
-        made.handle = as.impl->init(id, made.object);
+        made.handle = as.impl->init(id, state.get(), made.object);
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
       } catch (...) {
@@ -622,7 +624,7 @@ class Run {
         }
       const bool emulated = made.handle.kind() == SchedHandle::Kind::kEmulated;
       if (before_kb && !emulated) take_memory(n, as, *before_kb);
-      active_[n] = {as.xpu, as.impl, emulated, std::move(made)};
+      active_[n] = {as.xpu, as.impl, state, emulated, std::move(made)};
     }
     return {};
   }
@@ -635,10 +637,12 @@ class Run {
   struct Active {
     int xpu = -1;
     const detail::ImplSpec* impl = nullptr;
+    std::shared_ptr<void> state = nullptr;  ///< that its init was shown
     bool emulated = false;
     detail::Made made = {};
   };
-  std::map<int, Active> active_;  ///< node -> XPU it was last initialised for
+  std::vector<std::shared_ptr<void>> states_;  ///< [module] of this pass
+  std::map<int, Active> active_;               ///< node -> XPU it was last initialised for
   std::optional<detail::Inlets> inlets_;
   std::vector<std::vector<detail::ParameterNow>> parameters_;  ///< [module]
   std::vector<int> cores_;

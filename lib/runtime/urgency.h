@@ -57,6 +57,12 @@ class Urgency {
     return by_release_ ? key(nominal_ns, n, urgent) : 0;
   }
   [[nodiscard]] bool by_release() const { return by_release_; }
+  /// That rest.
+  [[nodiscard]] coord::Key constant() const { return by_release_ ? 0 : constant_; }
+  /// As people ask for it instead (processes/prio.h).
+  [[nodiscard]] coord::Key asked(std::int64_t nominal_ns, std::int64_t value) const {
+    return by_release_ ? nominal_ns + value * 1000 : coord::key_of_priority(value);
+  }
   /// Some of its jobs are not to start as soon as they could.
   [[nodiscard]] bool holds() const { return !hold_ns_.empty(); }
   /// Where `holds()`: the instant before which activation `n` does not start.

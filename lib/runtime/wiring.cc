@@ -156,7 +156,24 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   if (!session.emulated(xpu) && x.type == "cpu")
     placed.fifo_priority =
         session.cpu.by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
+  tell_order(placed,
+             session.keys ? &session.keys_of(table).placements[placed.xnode].key_us : nullptr);
   return placed;
+}
+
+/// By what its jobs are ordered, where people look and ask for something else (processes/prio.h). By several tables: by
+/// ranks, if by one of them.
+void Wiring::tell_order(const Placed& placed, const std::vector<std::int64_t>* key_us) {
+  XNodeLine& line = *placed.line;
+  const bool by_rank = placed.fifo_priority > 0 && placed.fifo_priority != xpu::kCpuAsks;
+  if (placed.table == 0) {
+    line.keys.store(key_us == nullptr ? 0 : static_cast<std::uint32_t>(key_us->size()));
+    line.planned.store(key_us == nullptr ? coord::priority_of_key(placed.urgency.constant())
+                                         : key_us->front());
+    line.ordered.store(
+        static_cast<std::uint32_t>(key_us == nullptr ? Ordered::kPriority : Ordered::kKey));
+  }
+  if (by_rank) line.ordered.store(static_cast<std::uint32_t>(Ordered::kRank));
 }
 
 /// What this process publishes to others.

@@ -93,7 +93,7 @@ Status Worker::init_nodes() {
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
     XAUTO_ASSIGN(const xpu::Backend::Init around, backend_->before_init());
     try {
-      made.handle = placed.impl->init(options_.backend.id, made.object);
+      made.handle = placed.impl->init(options_.backend.id, chain_.activation->state(), made.object);
     } catch (const std::exception& e) {
       return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
     } catch (...) {
@@ -331,6 +331,10 @@ void Worker::begin(const Placed& placed, std::uint32_t held_us) {
 }
 
 coord::Key Worker::key_of(const Placed& placed) const {
+  if (placed.line != nullptr)
+    if (const std::int64_t asked = placed.line->asked.load(std::memory_order_relaxed);
+        asked != XNodeLine::kAsPlanned)
+      return placed.urgency.asked(chain_.activation->origin_ns(), asked);
   return placed.urgency.key(chain_.activation->origin_ns(), chain_.activation->sequence(),
                             chain_.activation->urgent());
 }
@@ -339,7 +343,7 @@ xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
   const std::int64_t nominal = chain_.activation->origin_ns();
   const std::uint64_t n = chain_.activation->sequence();
   const bool urgent = chain_.activation->urgent();
-  return {placed.task, n, placed.urgency.of_release(nominal, n, urgent),
+  return {placed.task, n, key_of(placed) - placed.urgency.constant(),
           placed.urgency.holds() ? placed.urgency.hold(nominal, n, urgent) : 0,
           placed.fifo_priority};
 }

@@ -39,18 +39,20 @@ struct Kind {
   /// Device nodes, by instance; a machine with any of them has such an XPU. None: it needs no
   /// driver, so it is always there (CPUs are counted).
   std::vector<std::string> nodes = {};
+  bool node_each = false;  ///< a node per instance; else any number may be behind one
   /// In the order of choice; where this machine has none of them an instance is gated.
   std::vector<Way> ways = {};
   /// What suspends its work in a run by keys where SCHED_FIFO keeps the order: it knows no keys.
   Result<std::unique_ptr<Backend>> (*backend_by_keys)(const XpuId&) = nullptr;
   /// Of an instance as `xauto doctor --platform-out` writes it: costs of a preemption.
   std::int64_t preempt_us = 0, timeslice_us = 0;
+  bool measured = true;     ///< preempt_us
   std::string what = {};    ///< for people, if it is there: "a Jetson's GPU"
   std::string driver = {};  ///< ... if it is not: whose node is missing: "nvgpu"
   std::string advice = {};  ///< ... and where it would be
 };
 
-/// The table: cpu, gpu, dla, and what an app brings itself.
+/// The table: cpu, gpu, dla, vic, pva, and what an app brings itself.
 [[nodiscard]] const std::vector<Kind>& kinds();
 
 /// Those that need a driver, for `xauto doctor`.

@@ -14,7 +14,11 @@ Hardware Hardware::here(const std::vector<Kind>& table) {
   for (const Kind& kind : table)
     for (const std::string& node : kind.nodes) {
       struct stat status {};
-      if (stat(node.c_str(), &status) == 0) machine.devices.insert(kind.type);
+      if (stat(node.c_str(), &status) != 0) continue;
+      if (kind.node_each)
+        ++machine.devices[kind.type];
+      else
+        machine.devices[kind.type] = kMaxXpus;
     }
   return machine;
 }
@@ -22,16 +26,23 @@ Hardware Hardware::here(const std::vector<Kind>& table) {
 bool Hardware::has(const Platform& platform, std::size_t xpu,
                    const std::vector<Kind>& table) const {
   const Xpu& x = platform.xpus[xpu];
-  if (!kind_of(x.type, table).nodes.empty()) return devices.contains(x.type);
-  if (x.type != "cpu") return true;
-  const std::vector<int> cpus = platform.instances_of("cpu");
-  const auto at = std::find(cpus.begin(), cpus.end(), static_cast<int>(xpu));
-  return static_cast<std::size_t>(at - cpus.begin()) < cores;
+  std::size_t there = cores;
+  if (!kind_of(x.type, table).nodes.empty()) {
+    const auto counted = devices.find(x.type);
+    there = counted == devices.end() ? 0 : counted->second;
+  } else if (x.type != "cpu") {
+    return true;
+  }
+  const std::vector<int> all = platform.instances_of(x.type);
+  const auto at = std::find(all.begin(), all.end(), static_cast<int>(xpu));
+  return static_cast<std::size_t>(at - all.begin()) < there;
 }
 
 std::string Hardware::lacks(const Xpu& xpu) const {
   if (xpu.type == "cpu")
     return "this process may use " + std::to_string(cores) + (cores == 1 ? " CPU" : " CPUs");
+  if (const auto some = devices.find(xpu.type); some != devices.end())
+    return "this machine has " + std::to_string(some->second) + " of type " + xpu.type;
   return "this machine has no " + xpu.type + " (no device node)";
 }
 
@@ -148,17 +159,24 @@ Platform platform_of(const Hardware& machine, const std::string& name,
   platform.name = name;
   for (const Kind& kind : table) {
     if (kind.type == "cpu")
-      for (std::size_t i = 0; i < std::min(machine.cores, kMaxXpus - table.size()); ++i)
+      for (std::size_t i = 0; i < std::min(machine.cores, kMaxXpus - 4 * table.size()); ++i)
         platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
     if (kind.nodes.empty() || &kind_of(kind.type, table) != &kind) continue;
-    platform.xpus.push_back({kind.type + "0", kind.type, true, kind.preempt_us, kind.timeslice_us});
-    Xpu& xpu = platform.xpus.back();
-    if (!machine.devices.contains(kind.type)) {
-      xpu.emulated = true;
-    } else if (const Way* way = way_of(kind); way != nullptr && way->levels != nullptr) {
-      xpu.levels = way->levels();
-      xpu.preemptive = xpu.levels >= 2;
-      if (!xpu.preemptive) xpu.levels = 0;
+    const auto there = machine.devices.find(kind.type);
+    const bool here = there != machine.devices.end();
+    if (!here && kind.ways.empty()) continue;  // what stands in for it is an XPU of another type
+    for (std::size_t i = 0; i < (here && kind.node_each ? there->second : 1); ++i) {
+      Xpu xpu{kind.type + std::to_string(i), kind.type, !kind.ways.empty(), kind.preempt_us,
+              kind.timeslice_us};
+      xpu.preempt_measured = kind.measured;
+      if (!here) {
+        xpu.emulated = true;
+      } else if (const Way* way = way_of(kind); way != nullptr && way->levels != nullptr) {
+        xpu.levels = way->levels();
+        xpu.preemptive = xpu.levels >= 2;
+        if (!xpu.preemptive) xpu.levels = 0;
+      }
+      platform.xpus.push_back(std::move(xpu));
     }
   }
   return platform;

@@ -5,7 +5,7 @@
 #pragma once
 
 #include <cstdint>
-#include <set>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -21,8 +21,8 @@ namespace xauto::xpu {
 
 /// What a machine has.
 struct Hardware {
-  std::size_t cores = 0;          ///< that this process may use
-  std::set<std::string> devices;  ///< types with a device node
+  std::size_t cores = 0;                       ///< that this process may use
+  std::map<std::string, std::size_t> devices;  ///< types with a device node: how many such XPUs
   [[nodiscard]] static Hardware here(const std::vector<Kind>& table = kinds());
   /// Types without device nodes are the app's own business: they are always there.
   [[nodiscard]] bool has(const Platform& platform, std::size_t xpu,

@@ -109,6 +109,8 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
       proof.load *= static_cast<double>(proof.repeats_us) / static_cast<double>(longest_us);
       proof.repeats_us = static_cast<double>(longest_us);
     }
+    if (std::string cost = unmeasured(platform.xpus[m]); proof.charged > 0 && !cost.empty())
+      report.taken.push_back(std::move(cost));
     report.xpus.push_back(std::move(proof));
   }
   for (std::size_t k = 0; k < app.chains.size(); ++k) {

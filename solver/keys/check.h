@@ -61,7 +61,8 @@ struct CheckReport {
   std::vector<ChainProof> chains;               ///< of the app's, up to what could not be derived
   /// Each says what is claimed, and what follows instead. Where a window is false nothing more is derived.
   std::vector<Error> lies;
-  /// Claimed, neither shown nor false: lower bounds above the check's own.
+  /// Claimed, neither shown nor false: lower bounds above the check's own; what a preemption costs where nobody has
+  /// measured it.
   std::vector<std::string> taken;
 };
 

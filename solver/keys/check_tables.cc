@@ -124,6 +124,8 @@ void check_scenarios(const AppSpec& app, const Platform& platform, const Tables&
     all.shown.push_back("the worst case of " + std::to_string(shown) +
                         " chains at the WCETs of their scenario alone");
   all.taken.emplace_back("the lower bounds of the scenarios");
+  for (const Xpu& xpu : platform.xpus)
+    if (std::string cost = unmeasured(xpu); !cost.empty()) all.taken.push_back(std::move(cost));
 }
 
 /// Keys of a table with a claim for every chain of the app, since derive_handover looks at all of them.

@@ -83,6 +83,33 @@ class Params(unittest.TestCase):
         wait_for(f"{text} on {topic}", lambda: self.newest(topic) == f"{text}|{text}", self.tool)
 
 
+class Prio(Params):
+    def prio(self, *words, status=0):
+        done = xauto("prio", *words, "--run", self.run_id, "--wait", "30s")
+        self.assertEqual(done.returncode, status, done.stdout + done.stderr)
+        return done.stdout if status == 0 else done.stderr
+
+    def test_a_key_is_changed_while_it_runs_and_nothing_is_claimed_then(self):
+        self.start()
+        listed = {x["xnode"]: x for x in json.loads(self.prio("--json"))["xnodes"]}
+        self.assertEqual({x["by"] for x in listed.values()}, {"key"})
+        self.assertGreater(listed["a.first"]["planned_us"], 0)
+        self.assertIn("a.first: as planned -> 5.00 ms", self.prio("a.first", "--key", "5ms"))
+        self.assertIn("a.first: 5.00 ms -> 6.00 ms", self.prio("a.first", "--key", "6ms"))
+        listed = {x["xnode"]: x for x in json.loads(self.prio("--json"))["xnodes"]}
+        self.assertEqual([listed[x]["asked_us"] for x in ("a.first", "a.second")], [6000, None])
+        self.assertIn("has a key", self.prio("a.first", "7", status=2))
+        self.assertIn("no XNode 'c.none'", self.prio("c.none", "--key", "1ms", status=2))
+        self.assertIn("needs one of", self.prio("a.first", status=2))
+        self.assertIn("6.00 ms -> as planned", self.prio("a.first", "--planned"))
+        claims = self.end()["claims"]
+        kinds = {a["kind"]: a for a in claims["assumptions"]}
+        self.assertEqual(kinds["changed_urgency"]["count"], 3)
+        self.assertIn("the key of XNode 'a.first' was changed by hand, 3 times; it is the policy's again",
+                      " ".join(claims["broken"]))
+        self.assertIn("not claimed", claims["verdict"])
+
+
 class Live(Params):
     def test_a_value_reaches_every_process_and_the_report_names_it(self):
         for flags in ([], ["--isolate"]):

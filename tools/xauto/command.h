@@ -66,6 +66,7 @@ void add_generate(Commands&);
 void add_graph(Commands&);
 void add_monitor(Commands&);
 void add_param(Commands&);
+void add_prio(Commands&);
 void add_profile(Commands&);
 void add_recording(Commands&);
 void add_report(Commands&);

@@ -26,6 +26,7 @@ int main(int argc, char** argv) {
   xauto::cli::add_top(commands);
   xauto::cli::add_monitor(commands);
   xauto::cli::add_param(commands);
+  xauto::cli::add_prio(commands);
   xauto::cli::add_recording(commands);
   return commands.run(argc, argv);
 }

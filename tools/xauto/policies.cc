@@ -109,6 +109,16 @@ std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
   return out;
 }
 
+/// A line per XPU whose preemptions cost what nobody has measured, and are charged.
+std::string unmeasured_costs(const Platform& platform, const keys::CheckReport& report) {
+  std::string out;
+  for (std::size_t x = 0; x < report.xpus.size(); ++x)
+    if (const std::string cost = unmeasured(platform.xpus[x]);
+        report.xpus[x].charged > 0 && !cost.empty())
+      out += wrapped("  taken  " + cost, 9) + "\n";
+  return out;
+}
+
 std::string chain_table(const AppSpec& app, const Policy& policy) {
   std::string out =
       row_of("chain", kNameColumns) +
@@ -707,6 +717,7 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
     root["evaluations"] = answer.evaluations;
     root["first_answer_us"] = std::llround(answer.first_answer_ms * 1e3);
     root["proofs"] = proofs(*checked);
+    root["taken"] = checked->taken;
     root["objective"] = objective_of(app, answer, asked.aim);
     if (asked.hint != nullptr) root["moved"] = moved(app, platform, *asked.hint, answer);
     if (!ifs.empty()) root["what_if"] = cases_of(app, ifs);
@@ -729,7 +740,7 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
                      scope(apps, !asked.beside.demands.empty()))
               << (asked.beside.nobody() ? "" : "  Proven " + name_of_all(asked.beside) + ".\n")
-              << urgency(app);
+              << unmeasured_costs(platform, *checked) << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs, assumed_s(asked));
     if (late)

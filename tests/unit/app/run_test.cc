@@ -796,6 +796,46 @@ TEST(Run, ContextsOutsideOfInitAndExecHaveNoEmulator) {
   EXPECT_EQ(context.error().code, ErrorCode::kUnavailable);
 }
 
+/// Its state holds what `init` loads, `exec` takes the state alone, a module names its topic.
+TEST(Run, ThePapersListingRuns) {
+  struct Camera {
+    std::shared_ptr<emu::Context> context;
+    int value = 0;
+  };
+  App app("x");
+  const auto init = [](Camera& state, const XpuId& xpu) {
+    auto context = emu::Context::open(xpu);
+    if (!context) throw std::runtime_error(context.error().to_string());
+    state.context = std::make_shared<emu::Context>(std::move(*context));
+    return state.context->handle();
+  };
+  XNode<Camera> m1("m1"), m2("m2");
+  m1.add_impl(XPU::GPU, init, [](Camera& state) { return state.context->run(100us); });
+  m2.add_impl(
+      XPU::CPU,
+      [](Camera&, const XpuId& xpu) {
+        auto context = emu::Context::open(xpu);
+        if (!context) throw std::runtime_error(context.error().to_string());
+        const SchedHandle handle = context->handle();
+        return own(std::make_unique<emu::Context>(std::move(*context)), handle);
+      },
+      [](emu::Context& context, Camera& state, const Input& input) {
+        state.value = input.get<int>("camera");
+        return context.run(100us);
+      });
+  const Topic<int> result("result");
+  app.add_module(
+      XModule<Camera>("M").add_node(m1).add_node(m2).add_input_topic("camera").add_output_topic(
+          result, &Camera::value));
+  app.add_source(Topic<int>("camera"), 1ms, [](std::uint64_t k) { return static_cast<int>(k); });
+  std::atomic<int> sum{0};
+  app.on_message(result, [&](const int& value, std::uint64_t) { sum += value; });
+  const auto report = app.run(Fixture("a").options());
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->good()) << report->json();
+  EXPECT_EQ(sum.load(), 190);
+}
+
 TEST(Run, AFailingInitIsTheRunsError) {
   App app("x");
   const Topic<int> camera("camera");

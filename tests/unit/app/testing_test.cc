@@ -250,5 +250,21 @@ TEST_F(TestingTest, ParametersAreAsDeclaredUntilTheyAreSet) {
             std::string::npos);
 }
 
+TEST(Testing, ATopicThatIsAddedByNameCarriesWhatIsPut) {
+  XNode<Seen> node("n");
+  node.add_impl(
+      XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
+      [](Seen& state, const Input& input) { state.sum = input.get<int>("number"); });
+  XModule<Seen> module("M");
+  const Topic<int> out("out");
+  module.add_node(node).add_input_topic("number").add_output_topic(out, &Seen::sum);
+  testing::Fire fire(module);
+  const auto good = fire.put(Topic<int>("number"), 7).run();
+  ASSERT_TRUE(good) << good.error().to_string();
+  EXPECT_EQ(good->get(out), 7);
+  testing::Fire wrong(module);
+  EXPECT_FALSE(wrong.put(Topic<std::string>("number"), std::string("seven")).run());
+}
+
 }  // namespace
 }  // namespace xauto

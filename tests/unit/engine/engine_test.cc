@@ -74,7 +74,7 @@ TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
 TEST(Engine, FailingInitNamesTheXNode) {
   TestApp app;
   for (auto& impl : app.spec.modules[0]->nodes[1]->impls)
-    impl.init = [](const XpuId&, std::shared_ptr<void>&) -> SchedHandle {
+    impl.init = [](const XpuId&, void*, std::shared_ptr<void>&) -> SchedHandle {
       throw std::runtime_error("no weights");
     };
   const auto report = app.run();

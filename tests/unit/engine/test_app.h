@@ -135,7 +135,7 @@ class TestApp {
       made->name = node;
       for (const char* type : {"cpu", "npu"})
         made->impls.push_back({XPU(type),
-                               [this, node](const XpuId& xpu, std::shared_ptr<void>& owned) {
+                               [this, node](const XpuId& xpu, void*, std::shared_ptr<void>& owned) {
                                  owned = object(node);
                                  const std::lock_guard lock(mutex_);
                                  objects_[node] = owned.get();

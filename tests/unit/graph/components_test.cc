@@ -26,7 +26,7 @@ class Components : public ::testing::Test {
     auto spec = std::make_shared<detail::XModuleSpec>();
     spec->name = name;
     auto node = detail::make_xnode(name + ".1");
-    detail::add_impl(*node, XPU::CPU, {}, {});
+    detail::add_impl(*node, XPU::CPU, {});
     spec->nodes.push_back(node);
     for (const std::string& t : inputs) spec->inputs.push_back(*detail::topic_spec(Topic<int>(t)));
     for (const std::string& t : samples)

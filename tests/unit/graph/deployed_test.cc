@@ -33,12 +33,12 @@ class Deployed : public ::testing::Test {
     auto clock = add("clock");
     detail::set_timer(*clock, 5ms);
     detail::add_output(*clock, detail::topic_spec(Topic<int>("speed")), {});
-    detail::add_timers(app);
+    detail::complete(app);
   }
   std::shared_ptr<detail::XModuleSpec> add(const std::string& name) {
     auto module = detail::make_xmodule(name, [] { return std::make_shared<int>(); });
     auto xnode = detail::make_xnode(name + ".work");
-    detail::add_impl(*xnode, XPU::CPU, {}, {});
+    detail::add_impl(*xnode, XPU::CPU, {});
     detail::add_node(*module, xnode);
     app.modules.push_back(module);
     return module;

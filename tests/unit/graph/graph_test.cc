@@ -56,6 +56,18 @@ TEST(Graph, ChainsAndTopicsGiveTheEdges) {
 #define EXPECT_REFUSAL(builder, text) \
   EXPECT_NE((builder).refusal().find(text), std::string::npos) << (builder).refusal()
 
+TEST(Graph, ATopicByItsNameCarriesWhatItsPublisherSays) {
+  Builder by_name;
+  by_name.app.add_module(
+      XModule<State>("A").add_node(node("a")).add_input_topic("in").add_output_topic(
+          kMid, &State::value));
+  by_name.app.add_module(XModule<State>("B").add_node(node("b")).add_input_topic("mid"));
+  EXPECT_EQ(by_name.refusal(), "");
+  Builder nobody;
+  nobody.app.add_module(XModule<State>("A").add_node(node("a")).add_input_topic("im"));
+  EXPECT_REFUSAL(nobody, "reads topic 'im' by its name alone, and no Topic of that name says");
+}
+
 TEST(Graph, RefusesNamesThatNoFileHolds) {
   for (const auto& [name, text] :
        {std::pair<std::string, std::string>{"a\nb", "'a?b': the name has a control"},
@@ -273,7 +285,7 @@ TEST(Graph, AModuleHasTheParametersOfItsXNodesEachOnce) {
   const auto module = detail::make_xmodule("A", [] { return std::make_shared<int>(); });
   const auto handle = detail::make_parameter("level", std::int64_t{3}, 0, 9);
   const auto xnode = detail::make_xnode("a1");
-  detail::add_impl(*xnode, XPU::CPU, {}, {});
+  detail::add_impl(*xnode, XPU::CPU, {});
   detail::add_parameter(*xnode, handle);
   detail::add_parameter(*xnode, detail::make_parameter("on", true));
   detail::add_node(*module, xnode);

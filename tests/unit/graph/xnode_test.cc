@@ -34,7 +34,7 @@ namespace {
 
 Status run(detail::ImplSpec& impl, Sums& state) {
   std::shared_ptr<void> object;
-  (void)impl.init({"gpu0", XPU::GPU, 0}, object);
+  (void)impl.init({"gpu0", XPU::GPU, 0}, &state, object);
   return impl.exec(object.get(), &state, InputAccess::make());
 }
 
@@ -54,7 +54,7 @@ TEST(XNode, ThePapersFormIsAsItWas) {
   ASSERT_EQ(impls.size(), 2u);
   EXPECT_TRUE(run(impls[0], state));
   std::shared_ptr<void> object;
-  EXPECT_EQ(impls[0].init({}, object), SchedHandle::thread());
+  EXPECT_EQ(impls[0].init({}, nullptr, object), SchedHandle::thread());
   EXPECT_EQ(object, nullptr);
   EXPECT_FALSE(run(impls[1], state));
   EXPECT_EQ(state.sum, 11);
@@ -81,15 +81,39 @@ TEST(XNode, ThePapersListingCompiles) {
       [](Engine& engine, Sums& state) { state.sum += engine.step; });
   auto& impls = XModule<Peek>::impls(infer);
   std::shared_ptr<void> object;
-  EXPECT_EQ(impls[0].init({}, object), SchedHandle::cuda_context(&contexts[0]));
-  EXPECT_EQ(impls[1].init({}, object), SchedHandle::cudla_device(&contexts[1]));
+  EXPECT_EQ(impls[0].init({}, nullptr, object), SchedHandle::cuda_context(&contexts[0]));
+  EXPECT_EQ(impls[1].init({}, nullptr, object), SchedHandle::cudla_device(&contexts[1]));
   EXPECT_EQ(object, nullptr);
-  EXPECT_EQ(impls[2].init({}, object), SchedHandle::cuda_context(&contexts[0]));
+  EXPECT_EQ(impls[2].init({}, nullptr, object), SchedHandle::cuda_context(&contexts[0]));
   Sums state;
   EXPECT_TRUE(run(impls[0], state));
   EXPECT_FALSE(run(impls[1], state));
   EXPECT_TRUE(run(impls[2], state));
   EXPECT_EQ(state.sum, 111);
+}
+
+/// Section 3.2: shared state "holds model parameters"; the init loads them there, of the XPU that it is given.
+TEST(XNode, AnInitThatTakesTheStateFillsIt) {
+  XNode<Sums> node("x");
+  node.add_impl(
+      XPU::GPU,
+      [](Sums& state, const XpuId& xpu) {
+        state.sum = 100 * (xpu.index + 1);
+        return SchedHandle::gate();
+      },
+      [](Sums& state) { state.sum += 1; });
+  node.add_impl(
+      XPU::DLA,
+      [](Sums& state, const XpuId&) {
+        return own(std::make_unique<Engine>(state.sum), SchedHandle::gate());
+      },
+      [](Engine& engine, Sums& state) { state.sum += engine.step; });
+  auto& impls = XModule<Peek>::impls(node);
+  Sums state;
+  EXPECT_TRUE(run(impls[0], state));
+  EXPECT_EQ(state.sum, 101);
+  EXPECT_TRUE(run(impls[1], state));
+  EXPECT_EQ(state.sum, 202);
 }
 
 TEST(XNode, WhatInitOwnsIsGivenToExec) {
@@ -102,8 +126,8 @@ TEST(XNode, WhatInitOwnsIsGivenToExec) {
   auto& impl = XModule<Peek>::impls(node).front();
   // An object per instance: what one exec does to its own, the other's does not see.
   std::shared_ptr<void> first, second;
-  EXPECT_EQ(impl.init({"gpu0", XPU::GPU, 0}, first), SchedHandle::gate());
-  EXPECT_EQ(impl.init({"gpu1", XPU::GPU, 1}, second), SchedHandle::gate());
+  EXPECT_EQ(impl.init({"gpu0", XPU::GPU, 0}, nullptr, first), SchedHandle::gate());
+  EXPECT_EQ(impl.init({"gpu1", XPU::GPU, 1}, nullptr, second), SchedHandle::gate());
   Sums state;
   const Input input = InputAccess::make();
   EXPECT_TRUE(impl.exec(first.get(), &state, input));
@@ -119,7 +143,8 @@ TEST(XNode, ANullObjectIsRefused) {
       XPU::GPU, [](const XpuId&) { return own(std::unique_ptr<Engine>(), SchedHandle::gate()); },
       [](Engine&, Sums&, const Input&) {});
   std::shared_ptr<void> object;
-  EXPECT_THROW((void)XModule<Peek>::impls(node).front().init({}, object), std::logic_error);
+  EXPECT_THROW((void)XModule<Peek>::impls(node).front().init({}, nullptr, object),
+               std::logic_error);
 }
 
 }  // namespace

@@ -62,8 +62,8 @@ class Example {
     spec->make_state = [] { return std::make_shared<int>(); };
     auto node = detail::make_xnode(std::string(name) + "1");
     detail::add_impl(
-        *node, XPU::CPU, [](auto&&...) { return SchedHandle::gate(); },
-        [](auto&&...) { return Status(); });
+        *node, XPU::CPU,
+        {[](auto&&...) { return SchedHandle::gate(); }, [](auto&&...) { return Status(); }});
     spec->nodes.push_back(node);
     for (const std::string& input : inputs)
       spec->inputs.push_back(*detail::topic_spec(Topic<int>(input)));

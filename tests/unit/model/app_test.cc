@@ -109,6 +109,25 @@ TEST(Platform, BuiltInsAreThePapers) {
   EXPECT_EQ(intel.instances_of("cpu").size(), 6u);
   EXPECT_EQ(intel.xpus[static_cast<std::size_t>(intel.find("gpu0"))].levels, 3);
   EXPECT_FALSE(intel.xpus[static_cast<std::size_t>(intel.find("npu0"))].preemptive);
+  // Boards by their data sheets: CPUs, DLAs, PVAs; the paper measured on an Orin alone.
+  const std::tuple<const char*, std::size_t, std::size_t, std::size_t> boards[] = {
+      {"orin", 12, 2, 1},
+      {"orin-nx", 8, 2, 1},
+      {"orin-nano", 6, 0, 0},
+      {"xavier", 8, 2, 1},
+      {"thor", 14, 0, 1}};
+  for (const auto& [name, cpus, dlas, pvas] : boards) {
+    const Platform board = Platform::builtin(name).value();
+    EXPECT_TRUE(validate(board)) << name;
+    EXPECT_EQ(board.instances_of("cpu").size(), cpus) << name;
+    EXPECT_EQ(board.instances_of("dla").size(), dlas) << name;
+    EXPECT_EQ(board.instances_of("pva").size(), pvas) << name;
+    EXPECT_EQ(board.instances_of("vic").size(), 1u) << name;
+    const Xpu& gpu = board.xpus[static_cast<std::size_t>(board.find("gpu0"))];
+    EXPECT_EQ(unmeasured(gpu).empty(), name == std::string("orin")) << name;
+    EXPECT_TRUE(unmeasured(board.xpus[static_cast<std::size_t>(board.find("vic0"))]).empty());
+    EXPECT_EQ(parse_platform(to_json(board), "board").value(), board) << name;
+  }
 }
 
 TEST(Profile, WcetIsTheWorstInstancesMaxPlusMarginRoundedUp) {

@@ -45,7 +45,7 @@ class WorkerTest : public ::testing::Test, public ModuleHost {
     row_.activation = &module_->activation(0);
     for (const char* name : {"a", "b"}) {
       auto impl = std::make_unique<detail::ImplSpec>();
-      impl->init = [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); };
+      impl->init = [](const XpuId&, void*, std::shared_ptr<void>&) { return SchedHandle::gate(); };
       impl->exec = [this, name = std::string(name)](void*, void*, const Input& input) {
         say(name + std::to_string(input.sequence()));
         return Status();
@@ -169,7 +169,7 @@ TEST_F(WorkerTest, TakesTheLevelThatItIsTold) {
     emu::set_this_threads_site(std::make_shared<emu::Site>(emu::Site{.address = emulator}));
     std::vector<std::shared_ptr<emu::Context>> open;
     for (auto& impl : impls_)
-      impl->init = [&](const XpuId& xpu, std::shared_ptr<void>&) {
+      impl->init = [&](const XpuId& xpu, void*, std::shared_ptr<void>&) {
         open.push_back(std::make_shared<emu::Context>(std::move(*emu::Context::open(xpu))));
         return open.back()->handle();
       };
@@ -232,6 +232,27 @@ TEST_F(WorkerTest, AnXNodeIsToldByWhenItIsToEndAndTheModuleWhenItWasMissed) {
   EXPECT_EQ(time, (std::vector{true, true, false, false, false, true}));
 }
 
+TEST_F(WorkerTest, AnUrgencyThatIsAskedForIsTheNextJobs) {
+  XNodeLine line;
+  std::vector<std::optional<std::chrono::nanoseconds>> due;  // execution thread's, till its end
+  impls_[0]->exec = [&](void*, void*, const Input& input) {
+    due.push_back(input.due());
+    return Status();
+  };
+  row_.nodes[0].line = &line;
+  for (Placed& placed : row_.nodes) placed.urgency = Urgency::of_keys({5}, {});
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  EXPECT_TRUE(run(0));  // origins are 1 ns
+  line.asked.store(9);
+  EXPECT_TRUE(run(1));
+  line.asked.store(XNodeLine::kAsPlanned);
+  EXPECT_TRUE(run(2));
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(due, (std::vector<std::optional<std::chrono::nanoseconds>>{5001ns, 9001ns, 5001ns}));
+  EXPECT_EQ(Urgency::of_priority(3).asked(1, 8), coord::key_of_priority(8));
+}
+
 TEST_F(WorkerTest, HandsTheChainOverToTheNextWorker) {
   Worker& first = add("M@npu0");
   Worker& second = add("M@npu1");
@@ -247,7 +268,7 @@ TEST_F(WorkerTest, HandsTheChainOverToTheNextWorker) {
 }
 
 TEST_F(WorkerTest, AnInitThatThrowsIsNamedAndNothingRuns) {
-  impls_[1]->init = [](const XpuId&, std::shared_ptr<void>&) -> SchedHandle {
+  impls_[1]->init = [](const XpuId&, void*, std::shared_ptr<void>&) -> SchedHandle {
     throw std::runtime_error("no engine");
   };
   Worker& worker = only();
@@ -280,7 +301,7 @@ TEST_F(WorkerTest, AnExecThatFailsEndsItsActivationOnly) {
 TEST_F(WorkerTest, WhatInitsHaveMadeGoesOnTheirThreadTheLastOneFirst) {
   std::vector<std::thread::id> ids;
   for (std::size_t n = 0; n < 2; ++n)
-    impls_[n]->init = [&, n](const XpuId& id, std::shared_ptr<void>& object) {
+    impls_[n]->init = [&, n](const XpuId& id, void*, std::shared_ptr<void>& object) {
       ids.push_back(std::this_thread::get_id());
       object = std::shared_ptr<void>(new int(0), [&, n](int* made) {
         ids.push_back(std::this_thread::get_id());
@@ -385,7 +406,9 @@ class TwoOfACrew : public ::testing::Test, public ModuleHost {
       modules_[m] =
           std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this, std::move(outputs));
       modules_[m]->set_overload({Overload::Kind::kQueue, 4});
-      impls_[m].init = [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); };
+      impls_[m].init = [](const XpuId&, void*, std::shared_ptr<void>&) {
+        return SchedHandle::gate();
+      };
       impls_[m].exec = [this, m](void*, void*, const Input& input) -> Status {
         {
           const Guard lock(mutex_);

@@ -8,7 +8,7 @@ namespace xauto::xpu {
 namespace {
 
 const Hardware kLaptop{.cores = 2, .devices = {}};
-const Hardware kOrin{.cores = 4, .devices = {"gpu", "dla"}};
+const Hardware kOrin{.cores = 4, .devices = {{"gpu", 1}, {"dla", 1}}};
 
 AppSpec app(std::set<std::string, std::less<>> real_on) {
   AppSpec spec;
@@ -35,7 +35,7 @@ TEST(Presence, WithoutFlagsWhatTheMachineLacksIsEmulatedAndTheRestAsTheAppNeedsI
   EXPECT_EQ(of_small({}, &both, kLaptop), "rreeee") << "no app makes a GPU";
   EXPECT_EQ(of_small({}, nullptr, kLaptop), "??eeee") << "profile learns from init";
   EXPECT_EQ(of_small({}, &stand_ins, kOrin), "rrrrrr") << "all is there: nothing is emulated";
-  const Hardware no_dla{.cores = 4, .devices = {"gpu"}};
+  const Hardware no_dla{.cores = 4, .devices = {{"gpu", 1}}};
   EXPECT_EQ(of_small({}, &both, no_dla), "rrrrre");
   EXPECT_EQ(of_small({}, &computes, no_dla), "rrrree");
 }
