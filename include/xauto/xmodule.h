@@ -39,6 +39,8 @@ void set_optional(XModuleSpec& module);
 /// `late`: beyond the key of the module's last XNode.
 using OnMiss = std::function<void(std::uint64_t sequence, std::chrono::nanoseconds late)>;
 void set_on_miss(XModuleSpec& module, OnMiss callback);
+using UrgentIf = std::function<bool(const void* state)>;
+void set_urgent_if(XModuleSpec& module, UrgentIf judge);
 void set_timer(XModuleSpec& module, std::chrono::microseconds period);
 void set_timer(XModuleSpec& module, Rate rate);
 
@@ -137,6 +139,17 @@ class XModule {
   /// The same at a rate: every(30_hz).
   XModule& every(Rate rate) {
     detail::set_timer(*spec_, rate);
+    return *this;
+  }
+
+  /// What the module publishes is urgent where `judge(const State&)` says so, asked when its chain has ended: whoever
+  /// hears of it by input topics has earlier keys. app.json states by how much, and how often that may be (`marked_by` of
+  /// a source's `urgent`); the worst cases hold with it. Where it states nothing, and too soon after an urgent one, the
+  /// result is an ordinary one, and the report counts that. What it throws loses the activation.
+  XModule& urgent_if(std::function<bool(const State&)> judge) {
+    detail::set_urgent_if(*spec_, [judge = std::move(judge)](const void* state) {
+      return judge(*static_cast<const State*>(state));
+    });
     return *this;
   }
 

@@ -324,7 +324,8 @@ void Engine::trace_inputs(int module, Activation& activation) {
   const std::vector<int>& inputs = graph_.modules[static_cast<std::size_t>(module)].inputs;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
     trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(activation.origin_of(i)), XAUTO_EV_NONE,
-                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE, publisher_of(inputs[i]));
+                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE,
+                  publisher_of(inputs[i]) | (activation.is_urgent(i) ? XAUTO_RELEASE_URGENT : 0));
   }
 }
 

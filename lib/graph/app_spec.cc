@@ -75,6 +75,11 @@ void set_on_miss(XModuleSpec& module, OnMiss callback) {
   module.on_miss = std::move(callback);
 }
 
+void set_urgent_if(XModuleSpec& module, UrgentIf judge) {
+  if (module.urgent_if) module.misuse.push_back("XModule '" + module.name + "' has two urgent_if");
+  module.urgent_if = std::move(judge);
+}
+
 Period period_of(Rate rate) {
   const auto period = Period::of_rate(std::to_string(rate.num) + "/" + std::to_string(rate.den));
   return period ? *period : Period();

@@ -66,6 +66,7 @@ struct XModuleSpec {
   int in_flight = 1;                             ///< activations that may be at once
   bool optional = false;                         ///< a table may have it off
   OnMiss on_miss;                                ///< may be empty
+  UrgentIf urgent_if;                            ///< likewise
   /// XModule::every: its topic is the last of the inputs then known; nullopt: not called.
   std::optional<TopicSpec> timer;
   Period timer_period;

@@ -124,12 +124,37 @@ Grid Grid::of_program(const Graph& graph, const Session& session) {
   grid.depth.assign(graph.modules.size(), 1);
   grid.urgent_by_us.assign(graph.modules.size(), 0);
   grid.urgent_source.assign(graph.modules.size(), -1);
+  grid.marks_apart.assign(graph.modules.size(), 0);
   for (const SourceSpec& source : graph.sources)
     grid.sources.push_back(
         {session.releases.period_us > 0 ? Period{session.releases.period_us} : source.period, 0, 0,
          0, static_cast<std::uint32_t>(grid.sources.size())});
   return grid;
 }
+
+namespace {
+
+/// Releases are on the grid: so are the distances of those that are urgent.
+std::uint64_t urgent_apart(const SourceSpec& spec) {
+  const std::int64_t apart = spec.urgent->every_us * spec.period.den + spec.period.num - 1;
+  return static_cast<std::uint64_t>(apart / spec.period.num);
+}
+
+/// [module] whether it hears, by its inputs, of what the module called `marks` publishes.
+std::vector<char> hearers_of(const Graph& graph, const std::string& marks) {
+  std::vector<char> hears(graph.modules.size(), 0);
+  for (const int m : graph.module_order)
+    for (const int topic : graph.modules[static_cast<std::size_t>(m)].inputs) {
+      const int by = graph.topics[static_cast<std::size_t>(topic)].module;
+      if (by < 0) continue;
+      const auto from = static_cast<std::size_t>(by);
+      if (hears[from] != 0 || graph.modules[from].name == marks)
+        hears[static_cast<std::size_t>(m)] = 1;
+    }
+  return hears;
+}
+
+}  // namespace
 
 Status Grid::take_sources(const Graph& graph, const AppSpec& app) {
   Period longest;
@@ -146,11 +171,7 @@ Status Grid::take_sources(const Graph& graph, const AppSpec& app) {
     sources[s] = {app.one_at_a_time ? longest : spec.period, spec.offset_us * 1000,
                   spec.jitter_us * 1000, static_cast<std::size_t>(spec.clock),
                   static_cast<std::uint32_t>(named - app.sources.begin())};
-    if (spec.urgent) {
-      // Releases are on the grid: so are the distances of those that are urgent.
-      const std::int64_t apart = spec.urgent->every_us * spec.period.den + spec.period.num - 1;
-      sources[s].urgent_apart = static_cast<std::uint64_t>(apart / spec.period.num);
-    }
+    if (spec.urgent && spec.urgent->marked_by.empty()) sources[s].urgent_apart = urgent_apart(spec);
   }
   return {};
 }
@@ -173,9 +194,13 @@ Status Grid::take_modules(const Graph& graph, const Session& session) {
       shift_ns[m][i] = of.shift_ns;
     }
     for (std::size_t s = 0; s < graph.sources.size(); ++s) {
-      if (heard[m][s] == 0 || sources[s].urgent_apart == 0) continue;
+      const SourceSpec& spec = app.sources[sources[s].number];
+      if (heard[m][s] == 0 || !spec.urgent) continue;
+      const std::string& marks = spec.urgent->marked_by;
+      if (module.name == marks) marks_apart[m] = urgent_apart(spec);
+      if (!marks.empty() && hearers_of(graph, marks)[m] == 0) continue;
       urgent_source[m] = static_cast<int>(s);
-      urgent_by_us[m] = app.sources[sources[s].number].urgent->by_us;
+      urgent_by_us[m] = spec.urgent->by_us;
     }
     depth[m] = depth_of(graph, session, module, component);
   }

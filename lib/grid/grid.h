@@ -48,6 +48,8 @@ struct Grid {
   /// -1 and 0: none.
   std::vector<int> urgent_source;
   std::vector<std::int64_t> urgent_by_us;
+  /// [module] releases from one that it may mark urgent to the next; 0: it may mark none.
+  std::vector<std::uint64_t> marks_apart;
   /// [module] activations that may be at once: the program's word, in a run app.json's.
   std::vector<int> in_flight;
   /// [module] activations that may wait at its door when the policy's keys are kept.

@@ -110,6 +110,7 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
       fnv.add("urgent");
       fnv.add(source.urgent->by_us);
       fnv.add(source.urgent->every_us);
+      if (!source.urgent->marked_by.empty()) fnv.add(source.urgent->marked_by);
     }
   }
   // By name: the order of the modules in the file means nothing.

@@ -62,11 +62,14 @@ struct ClockSpec {
   bool operator==(const ClockSpec&) const = default;
 };
 
-/// Releases of a source that a program may mark urgent: the keys of all that hears of such a release,
-/// by edges, move forward by `by_us`, and holds with them, at most to the nominal release.
+/// Releases of a source that a program may mark urgent: the keys of all that hears of such a release, or of what
+/// `marked_by` made of it, by edges, move forward by `by_us`, and holds with them, at most to the nominal release.
 struct UrgentSpec {
   std::int64_t by_us = 0;     ///< from 1 to the source's period: releases stay in order
   std::int64_t every_us = 0;  ///< least distance of two that are urgent, at least the period
+  /// Module that hears of the source, and says when its chain has ended: what it publishes is urgent, what came before is
+  /// not. Empty: the source's driver says, and all is.
+  std::string marked_by = {};
   bool operator==(const UrgentSpec&) const = default;
 };
 

@@ -36,10 +36,16 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
   std::vector<std::int64_t> sooner(n, 0);
   for (const int i : topological) {
     for (const int s : app.xnodes[at(i)].sources)
-      if (app.sources[at(s)].urgent)
-        sooner[at(i)] = std::max(sooner[at(i)], app.sources[at(s)].urgent->by_us);
-    for (const std::size_t e : into[at(i)])
-      if (e < app.edges.size()) sooner[at(i)] = std::max(sooner[at(i)], sooner[at(waits[e].first)]);
+      if (const auto& urgent = app.sources[at(s)].urgent; urgent && urgent->marked_by.empty())
+        sooner[at(i)] = std::max(sooner[at(i)], urgent->by_us);
+    for (const std::size_t e : into[at(i)]) {
+      if (e >= app.edges.size()) continue;
+      const std::string& from = app.xnodes[at(waits[e].first)].module;
+      sooner[at(i)] = std::max(sooner[at(i)], sooner[at(waits[e].first)]);
+      for (const SourceSpec& source : app.sources)
+        if (source.urgent && source.urgent->marked_by == from && app.xnodes[at(i)].module != from)
+          sooner[at(i)] = std::max(sooner[at(i)], source.urgent->by_us);
+    }
   }
   // With holds earlier by `by`, or without any.
   const auto follow = [&](bool held, const std::vector<std::int64_t>& by) {

@@ -102,7 +102,7 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
   std::string declared;
   for (const ClockSpec& clock : app.clocks)
     if (declared.size() < kMaxNameBytes) declared += (declared.empty() ? "" : ", ") + clock.name;
-  root.knows({"sources/*/urgent/by_us", "sources/*/urgent/every_us"});
+  root.knows({"sources/*/urgent/by_us", "sources/*/urgent/every_us", "sources/*/urgent/marked_by"});
   std::optional<std::size_t> without;  // the first that has no rate
   root["sources"].each_element(kMaxSources, [&](std::size_t i, const Reader& s) {
     const bool rate = s.has("rate_hz") || s.has("period_us");
@@ -113,7 +113,8 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
     if (s.has("urgent")) {
       const Reader urgent = s["urgent"];
       source.urgent = {urgent["by_us"].integer(1, kMaxPeriodUs),
-                       urgent["every_us"].integer(1, kMaxPeriodUs)};
+                       urgent["every_us"].integer(1, kMaxPeriodUs),
+                       urgent.has("marked_by") ? urgent["marked_by"].text() : std::string()};
     }
     if (s.has("clock")) {
       const std::string name = s["clock"].text();
@@ -250,7 +251,10 @@ ordered_json sources_to_json(const AppSpec& app) {
     if (s.offset_us != 0) source["offset_us"] = s.offset_us;
     if (s.jitter_us != 0) source["jitter_us"] = s.jitter_us;
     if (s.clock != 0) source["clock"] = app.clocks[static_cast<std::size_t>(s.clock)].name;
-    if (s.urgent) source["urgent"] = {{"by_us", s.urgent->by_us}, {"every_us", s.urgent->every_us}};
+    if (s.urgent) {
+      source["urgent"] = {{"by_us", s.urgent->by_us}, {"every_us", s.urgent->every_us}};
+      if (!s.urgent->marked_by.empty()) source["urgent"]["marked_by"] = s.urgent->marked_by;
+    }
     out.push_back(std::move(source));
   }
   return out;

@@ -139,6 +139,32 @@ Status validate_clocks(const AppSpec& app) {
   return {};
 }
 
+/// A module marks what it heard of, for those who hear of it.
+Status validate_marking(const AppSpec& app, int source, const std::string& where) {
+  const std::string& module = app.sources[at(source)].urgent->marked_by;
+  std::vector<char> hears(app.xnodes.size(), 0);
+  const std::vector<std::vector<int>> after = app.successors();
+  bool knows = false, heard = false;
+  for (const int i : app.topological_order()) {
+    const XNodeSpec& xnode = app.xnodes[at(i)];
+    if (std::ranges::find(xnode.sources, source) != xnode.sources.end()) hears[at(i)] = 1;
+    knows = knows || (hears[at(i)] != 0 && xnode.module == module);
+    for (const int next : after[at(i)]) {
+      hears[at(next)] |= hears[at(i)];
+      heard = heard || (xnode.module == module && app.xnodes[at(next)].module != module);
+    }
+  }
+  const std::string who = "module " + quoted(module);
+  if (!knows)
+    return invalid(
+        who + " does not hear of source " + quoted(app.sources[at(source)].name) + " by edges",
+        where, "name one that does, or leave it out: then the source's driver marks");
+  if (!heard)
+    return invalid(who + " has nobody who hears of it by edges: nothing would be urgent", where,
+                   "name a module before those that shall be sooner");
+  return {};
+}
+
 /// An urgent release may reach the one before, and not overtake it. Of one component's sources one may
 /// say so: a release that several make urgent would have several amounts and distances.
 Status validate_urgent(const AppSpec& app, const Components& components) {
@@ -162,6 +188,8 @@ Status validate_urgent(const AppSpec& app, const Components& components) {
           "source " + quoted(source.name) + ": " + std::to_string(source.urgent->every_us) +
               " us are below its period (" + source.period.text() + ")",
           where + "/every_us", "where each release may be urgent, state the period, rounded up");
+    if (!source.urgent->marked_by.empty())
+      XAUTO_TRY(validate_marking(app, static_cast<int>(i), where + "/marked_by"));
   }
   for (const Component& component : components.components) {
     int first = -1;

@@ -112,6 +112,8 @@ struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> off{};  ///< [M] releases in whose table it is off
   std::atomic<std::uint64_t>
       skipped{};  ///< [M] releases that it, or one before it, skipped as it was told
+  /// [M] activations that the program marked urgent: sooner after one than app.json states; where nothing certifies any.
+  std::atomic<std::uint64_t> urgent_too_soon{}, urgent_unheard{};
   std::atomic<std::uint32_t> in_flight{};  ///< [M] activations that are
   std::atomic<std::uint32_t> deaths{};     ///< [H] of its process
   char name[kBoardNameBytes] = {};         ///< [H] before the run

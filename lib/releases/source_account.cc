@@ -97,6 +97,14 @@ std::vector<std::string> SourceAccount::notes() const {
           fmt::format("source '{}' marked {} releases urgent, which nothing certifies "
                       "in this run: they were ordinary ones",
                       context_.graph.sources[s].name, seen_[s].unheard));
+  for (std::size_t m = 0; m < context_.graph.modules.size(); ++m)
+    if (const std::uint64_t count =
+            context_.board.module(static_cast<int>(m)).urgent_unheard.load();
+        count > 0)
+      notes.push_back(
+          fmt::format("XModule '{}' marked {} results urgent, which nothing certifies in this run: "
+                      "they were ordinary ones (\"marked_by\" of a source in app.json)",
+                      context_.graph.modules[m].name, count));
   return notes;
 }
 
@@ -136,6 +144,16 @@ void SourceAccount::report(const std::vector<std::unique_ptr<ClockPhase>>& phase
                       "is not known",
                       name));
   }
+  for (std::size_t m = 0; m < context_.graph.modules.size(); ++m)
+    if (const std::uint64_t count =
+            context_.board.module(static_cast<int>(m)).urgent_too_soon.load();
+        count > 0) {
+      num_too_soon += count;
+      too_soon.push_back(fmt::format(
+          "XModule '{}' marked {} results urgent too soon: less than {} releases after the urgent "
+          "one before; they were ordinary ones",
+          context_.graph.modules[m].name, count, context_.grid.marks_apart[m]));
+    }
   into.add("release_off_grid", 0, std::move(off_grid));
   into.add("release_left_out", num_left_out, std::move(left_out));
   into.add("urgent_too_soon", num_too_soon, std::move(too_soon));

@@ -38,6 +38,10 @@ class alignas(64) Activation {
   [[nodiscard]] std::int64_t origin_of(std::size_t input) {
     return InputAccess::messages(input_)[input].origin_ns;
   }
+  /// Whether that came marked urgent.
+  [[nodiscard]] bool is_urgent(std::size_t input) {
+    return InputAccess::messages(input_)[input].urgent;
+  }
   /// By source, the oldest of what it is made from; null: see Graph::tells_origins. From
   /// ModuleRuntime::begin on.
   [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
@@ -68,6 +72,7 @@ class alignas(64) Activation {
   Stage stage_ = Stage::kFree;
   std::atomic<Fate> fate_{Fate::kOpen};
   bool urgent_ = false;
+  bool marks_ = false;   ///< what its module publishes of it is to be urgent
   bool parked_ = false;  ///< an older one is not yet through with the next XNode
   std::uint32_t table_ = 0;
   std::uint64_t number_ = 0;                        ///< how many were fired before it

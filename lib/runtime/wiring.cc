@@ -213,6 +213,11 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
   const ModuleDeployment said = context_.session.deployment.of(module.name);
   made.read_parameters(ParameterReader(context_.board, context_.graph, static_cast<int>(index)));
   made.shift_origins(context_.grid.shift_ns[index]);
+  // Who runs the app in another way and claims nothing (lockstep) takes what is marked for ordinary.
+  if (!context_.session.releases.lockstep && context_.session.mode == Mode::kRun)
+    made.let_mark(
+        context_.session.keys && context_.scheduled() ? context_.grid.marks_apart[index] : 0,
+        context_.board.module(static_cast<int>(index)));
   if (said.overload)
     made.set_overload(*said.overload);
   else if (context_.grid.periodic)  // within its keys nothing is lost at a module's door

@@ -285,7 +285,7 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
   std::int64_t released_ns = INT64_MAX;
   std::uint64_t sequence = 0;
   std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
-  activation.urgent_ = false;
+  activation.urgent_ = activation.marks_ = false;
   for (std::size_t i = 0; i < queues_.size(); ++i) {
     detail::Envelope& message = messages[i];
     queues_[i].waiting.take_front(message);
@@ -423,6 +423,7 @@ void ModuleRuntime::finish(Activation& activation, bool succeeded) {
       for (std::size_t i = 0; i < module_.spec->outputs.size(); ++i)
         activation.taken_.push_back(
             module_.spec->outputs[i].take(activation.state(), memories_[i]));
+      activation.marks_ = marks_line_ != nullptr && module_.spec->urgent_if(activation.state());
     } catch (...) {  // a user's copy constructor: as if the last exec had failed
       succeeded = false;
     }
@@ -580,16 +581,31 @@ void ModuleRuntime::tell(Activation& activation, bool succeeded, Skipped& skippe
   const std::uint64_t sequence = activation.sequence();
   if (succeeded) {
     tell_skipped(skipped);
+    const bool urgent = activation.urgent_ || (activation.marks_ && may_mark(sequence));
     host_.done(index_, activation);
     for (std::size_t i = 0; i < activation.taken_.size(); ++i)
       outputs_[i]->publish({std::move(activation.taken_[i]), activation.origin_ns(), sequence,
-                            activation.origins_, activation.urgent_});
+                            activation.origins_, urgent});
   } else {
     tell_all({{sequence, sequence, XAUTO_DROP_FAILED}});
     skip_below(sequence + 1, 0, skipped);
   }
   activation.taken_.clear();
   host_.left(index_);
+}
+
+/// Two are so many releases apart, as the certificate has it: what is nearer is an ordinary one.
+bool ModuleRuntime::may_mark(std::uint64_t sequence) {
+  if (marks_apart_ == 0) {
+    marks_line_->urgent_unheard.fetch_add(1, std::memory_order_relaxed);
+    return false;
+  }
+  if (last_marked_ && sequence - *last_marked_ < marks_apart_) {
+    marks_line_->urgent_too_soon.fetch_add(1, std::memory_order_relaxed);
+    return false;
+  }
+  last_marked_ = sequence;
+  return true;
 }
 
 /// No job of what was lost will start any more. One tombstone settles everything before it, too.

@@ -19,6 +19,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
@@ -80,6 +81,12 @@ class alignas(64) ModuleRuntime {
   void read_parameters(ParameterReader reader);
   /// `abandon` may be called.
   void watch() { watched_ = true; }
+  /// Its program may mark what it publishes urgent (XModule::urgent_if), once in so many releases; 0: nothing certifies
+  /// that. Counted in `line`. Before the run.
+  void let_mark(std::uint64_t apart, ModuleLine& line) {
+    if (module_.spec->urgent_if) marks_line_ = &line;
+    marks_apart_ = apart;
+  }
   /// Activations have the tables that the board says of their nominal releases. It outlives this. `off`: by
   /// table, whether its releases leave the module out; empty: none does.
   void read_tables(const Board& board, std::vector<char> off) {
@@ -239,6 +246,7 @@ class alignas(64) ModuleRuntime {
     if (!lost.empty()) tell_all(lost);
   }
   void tell_all(const std::vector<Lost>& lost);
+  [[nodiscard]] bool may_mark(std::uint64_t sequence) XAUTO_REQUIRES(order_);
 
   // In the order of use: what each message and each end asks for lies together.
   const std::size_t newest_from_;  ///< numbers of inputs from here on are sampled
@@ -271,6 +279,9 @@ class alignas(64) ModuleRuntime {
   /// whoever hears of k + 1 takes an untold k for lost.
   Ring<Turn> turns_ XAUTO_GUARDED_BY(mutex_);
   std::vector<Turn> settled_ XAUTO_GUARDED_BY(order_);  ///< a member, so that it keeps its memory
+  ModuleLine* marks_line_ = nullptr;  ///< null: its program marks nothing; set before the run
+  std::uint64_t marks_apart_ = 0;     ///< likewise
+  std::optional<std::uint64_t> last_marked_ XAUTO_GUARDED_BY(order_);
 
   const Graph::Module& module_;
   std::vector<const transport::Channel*> outputs_;

@@ -136,8 +136,9 @@ class Follower {
       for (std::int64_t k = first; k <= newest; ++k)
         if (const auto found = released_.find({chain.from, k}); found != released_.end()) {
           const Release& release = story_.releases[at(found->second)];
+          const auto& stated = app_.sources[at(chain.from)].urgent;
           const bool urgent =
-              release.urgent &&
+              stated && (release.urgent || !stated->marked_by.empty()) &&
               story_.activations[at(story_.jobs[at(j)].activation)].urgent_source == chain.from;
           into.push_back({index, k, release.begin_ns, end_ns, j, urgent});
         }

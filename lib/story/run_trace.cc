@@ -359,7 +359,7 @@ class Painter {
       for (std::size_t i = 0; i < reads.size(); ++i) {
         const SampleRead& read = reads[i];
         if (read.from >= 0)
-          connect_take({read.source, read.module, 0, read.from}, last_job, samples_[a][i],
+          connect_take({read.source, read.module, 0, false, read.from}, last_job, samples_[a][i],
                        read.read_ns);
         if (first_job[a] < 0) continue;
         const auto j = static_cast<std::size_t>(first_job[a]);

@@ -121,7 +121,8 @@ class Reader {
     if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_NO_CORE || e.module >= modules_.size())
       return false;
     if (e.kind == XAUTO_EV_TAKE || e.kind == XAUTO_EV_SAMPLE)
-      return source_of(e.arg) >= 0 || e.arg < modules_.size();
+      return source_of(e.arg & ~XAUTO_RELEASE_URGENT) >= 0 ||
+             (e.arg & ~XAUTO_RELEASE_URGENT) < modules_.size();
     if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP ||
         e.kind == XAUTO_EV_MISS)
       return true;
@@ -138,8 +139,8 @@ class Reader {
 
   void publish(const trace::Event& e, std::int64_t ts) {
     const int source = source_of(e.arg & ~XAUTO_RELEASE_URGENT);
-    const bool urgent = app_.sources[static_cast<std::size_t>(source)].urgent.has_value() &&
-                        (e.arg & XAUTO_RELEASE_URGENT) != 0;
+    const auto& stated = app_.sources[static_cast<std::size_t>(source)].urgent;
+    const bool urgent = stated && stated->marked_by.empty() && (e.arg & XAUTO_RELEASE_URGENT) != 0;
     story_.releases.push_back({e.seq, ts, source, urgent});
   }
 
@@ -239,10 +240,12 @@ class Reader {
   void take_input(const trace::Event& e) {
     OpenActivations& open = open_activations_[e.module];
     if (open.empty() || e.seq > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2) return;
-    const int source = source_of(e.arg);
+    const std::uint32_t by = e.arg & ~XAUTO_RELEASE_URGENT;
+    const int source = source_of(by);
     const auto origin_ns = static_cast<std::int64_t>(e.seq);
     Activation& activation = open.back().activation;
-    activation.takes.push_back({source, source >= 0 ? -1 : static_cast<int>(e.arg), origin_ns, -1});
+    activation.takes.push_back({source, source >= 0 ? -1 : static_cast<int>(by), origin_ns,
+                                (e.arg & XAUTO_RELEASE_URGENT) != 0, -1});
     const std::int64_t later_ns =
         source < 0
             ? 0
@@ -343,11 +346,21 @@ class Reader {
       for (const Take& take : taker.takes) {
         if (take.from < 0) continue;
         const auto from = static_cast<std::size_t>(take.from);
-        const int source = take.source < 0                ? story_.activations[from].urgent_source
-                           : story_.releases[from].urgent ? take.source
-                                                          : -1;
+        int source = take.source < 0                ? story_.activations[from].urgent_source
+                     : story_.releases[from].urgent ? take.source
+                                                    : -1;
+        if (source < 0 && take.urgent && take.module >= 0) source = marked_by(take.module);
         taker.urgent_source = std::max(taker.urgent_source, source);  // a component has one
       }
+  }
+  /// The source of whose releases this module says which are urgent; -1: of none.
+  [[nodiscard]] int marked_by(int module) const {
+    const auto marks = [&](const SourceSpec& source) {
+      return source.urgent &&
+             source.urgent->marked_by == modules_[static_cast<std::size_t>(module)].name;
+    };
+    const auto at = std::ranges::find_if(app_.sources, marks);
+    return at == app_.sources.end() ? -1 : static_cast<int>(at - app_.sources.begin());
   }
 
   /// By numbers: each module and each source counts its own.

@@ -50,6 +50,7 @@ enum class Fate : std::uint8_t { kDone, kDropped, kUnknown };
 struct Take {
   int source = -1, module = -1;  ///< who published it; one of the two
   std::int64_t origin_ns = 0;    ///< when the sensor released it
+  bool urgent = false;           ///< it came so
   int from = -1;  ///< index into Story::releases (source) or activations (module); -1: unknown
 };
 

@@ -285,8 +285,9 @@ Tick least_distance(Tick length, std::int64_t ppm) {
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w,
                 bool urgent) {
-  const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
-  Way way{p, chain, path.samples, {p, w.d}, {p, w.e}, urgent ? c.urgent_by : 0, {}, 0, {}};
+  const int leaves = leaves_by(p, chain, path.samples, 0);
+  const Component& c = p.components[at(p.component_of[at(leaves)])];
+  Way way{p, chain, path.samples, {p, w.d}, {p, w.e}, urgent ? p.urgent_by(leaves) : 0, {}, 0, {}};
   if (std::ranges::any_of(p.domains, [](const Domain& d) { return d.ppm > 0 && d.part; }))
     way.latest = *std::max_element(w.e.begin(), w.e.end());
   way.crossings.resize(path.samples.size());

@@ -310,9 +310,15 @@ Status set_components(World& w) {
   w.hears_urgent.assign(n, 0);
   for (const int i : w.order) {
     const auto& heard = w.app.xnodes[at(i)].sources;
-    const bool own = std::ranges::find(heard, w.home(i).urgent_source) != heard.end();
-    const bool through = std::ranges::any_of(
-        w.before[at(i)], [&](const auto& before) { return w.hears_urgent[at(before.first)] != 0; });
+    const int source = w.home(i).urgent_source;
+    const std::string marks = source < 0 ? "" : w.app.sources[at(source)].urgent->marked_by;
+    const bool own = marks.empty() && std::ranges::find(heard, source) != heard.end();
+    const std::string& here = w.app.xnodes[at(i)].module;
+    const bool through = std::ranges::any_of(w.before[at(i)], [&](const auto& before) {
+      const std::string& there = w.app.xnodes[at(before.first)].module;
+      return w.hears_urgent[at(before.first)] != 0 ||
+             (!marks.empty() && there == marks && here != marks);
+    });
     w.hears_urgent[at(i)] = own || through;
   }
   return {};

@@ -448,10 +448,19 @@ struct Builder {
         if (c.urgent_every > kMostTicks)
           return too_long("every_us of source '" + source.name + "'");
         p.any_urgent = true;
+        const std::string& marks = source.urgent->marked_by;
         for (const int j : c.xnodes)
-          if (j == i || p.before(i, j)) p.urgent[at(j)] = 1;
+          if (marks.empty() ? j == i || p.before(i, j) : hears_of(marks, j)) p.urgent[at(j)] = 1;
       }
     return {};
+  }
+  /// XNode j hears, by edges, of what this module publishes.
+  [[nodiscard]] bool hears_of(const std::string& module, int j) const {
+    return std::ranges::any_of(app.edges, [&](const auto& edge) {
+      return app.xnodes[at(edge.first)].module == module &&
+             app.xnodes[at(edge.second)].module != module &&
+             (edge.second == j || p.before(edge.second, j));
+    });
   }
 
   [[nodiscard]] bool along_edges(int u, int v) const { return u == v || p.before(u, v); }

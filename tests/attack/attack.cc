@@ -123,9 +123,15 @@ class World {
     }
     for (const SourceSpec& s : app.sources) {
       std::vector<char> hears(n, 0);
+      const std::string marks = s.urgent ? s.urgent->marked_by : "";
       for (std::size_t i = 0; i < n; ++i)
         for (const int heard : app.xnodes[i].sources)
-          if (&app.sources[at(heard)] == &s && s.urgent) hears[i] = 1;
+          if (&app.sources[at(heard)] == &s && s.urgent && marks.empty()) hears[i] = 1;
+      // What a module marks is urgent for whoever comes after it.
+      for (const auto& [u, v] : app.edges)
+        if (!marks.empty() && app.xnodes[at(u)].module == marks &&
+            app.xnodes[at(v)].module != marks)
+          hears[at(v)] = 1;
       for (bool more = true; more;) {
         more = false;
         for (const auto& [u, v] : app.edges)

@@ -98,7 +98,14 @@ inline void add_urgent(Case& c, std::uint64_t seed) {
     const std::int64_t period = source.period.floor_us();
     source.urgent = UrgentSpec{1 + static_cast<std::int64_t>(random.below(40)),
                                (1 + static_cast<std::int64_t>(random.below(3))) * (period + 1)};
-    if (!claim_all(c)) source.urgent.reset();
+    if (!claim_all(c)) {
+      source.urgent.reset();
+      continue;
+    }
+    // As well a module that hears of it, where there is one with others behind it.
+    if (random.below(2) == 0) continue;
+    source.urgent->marked_by = c.app.xnodes[random.below(c.app.xnodes.size())].module;
+    if (!claim_all(c)) source.urgent->marked_by.clear();
   }
   claim_all(c);
 }

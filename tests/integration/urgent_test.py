@@ -127,6 +127,72 @@ class Urgent(unittest.TestCase):
             job = next(j for j in chain["jobs"] if j["xnode"] == "camera.run")
             self.assertEqual(job["key_us"] - job["released_us"], KEYS["camera.run"] - BY * chain["urgent"])
 
+    def plan_marks(self, app, by):
+        """look.run, due at 4 ms, says whether what it has seen is urgent: then camera.run, due at 18 ms, is due at 8."""
+        keys = {"look.run": 4000, **KEYS}
+        source = {"period_us": 20000, "jitter_us": 1000}
+        urgent = {"by_us": BY, "every_us": 40000, "marked_by": by}
+        self.write(app, {"schema": "xauto.app", "version": 3, "name": "urgentapp", "edges": [["look.run", "camera.run"]],
+                         "sources": [{"name": "camera", **source, "urgent": urgent}, {"name": "lidar", **source}],
+                         "xnodes": [{"name": "look.run", "module": "lookM", "source": "camera", "wcet_us": {"gpu": 1000}},
+                                    {"name": "camera.run", "module": "cameraM", "wcet_us": {"gpu": 3000}},
+                                    {"name": "lidar.run", "module": "lidarM", "source": "lidar", "wcet_us": {"gpu": 8000}}]})
+        done = self.tool("solve", app, "--max-evaluations", 300, "--threads", 1, "--time-limit", "60s", "--out",
+                         self.folder / f"{app}-policy.json")
+        if done.returncode != 0:
+            return done
+        policy = json.loads((self.folder / f"{app}-policy.json").read_text())
+        for row in policy["xnodes"]:
+            for unused in ("hold_us", "start_us", "finish_us"):
+                row.pop(unused, None)
+            row["key_us"] = [keys[row["name"]]]
+        for chain, name in zip(policy["chains"], KEYS):
+            chain.update(worst_case_us=keys[name], lower_bound_us=0, optimal=False)
+            if "urgent_worst_case_us" in chain:
+                chain["urgent_worst_case_us"] = keys[name] - BY
+        self.write(f"{app}-policy", policy)
+        return self.tool("check", app, "--policy", self.folder / f"{app}-policy.json")
+
+    def test_a_module_marks_what_it_has_seen_and_those_behind_it_are_sooner(self):
+        done = self.plan_marks("marks", "lookM")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        for flags in ([], ["--isolate"]):
+            trace = self.folder / "marks.pftrace"
+            done, run = self.run_app(3, "--duration", "3s", "--trace-out", trace, *flags, app="marks", policy="marks-policy",
+                                     polled=["marks"])
+            self.assertEqual(done.returncode, 0, done.stderr)
+            camera = run["chains"][0]
+            self.assertEqual(camera["urgent_worst_case_us"], KEYS["camera.run"] - BY)
+            self.assertGreater(camera["urgent_results"], 20)
+            self.assertGreater(camera["results"], 2 * camera["urgent_results"])
+            self.assertLess(camera["urgent_us"]["p50"], 8000, "an ordinary one waits for the lidar's 8 ms")
+            self.assertGreater(camera["latency_us"]["p99"], 8000)
+        keys = {}
+        for number in range(10, 40):
+            done = xauto("explain", "--trace", trace, "--chain", "camera -> camera.run", "--activation", number, "--json")
+            if done.returncode == 0:
+                chain = json.loads(done.stdout)["chains"][0]
+                for job in chain["jobs"]:
+                    keys.setdefault((job["xnode"], chain["urgent"]), set()).add(job["key_us"] - job["released_us"])
+        self.assertEqual(keys["camera.run", True], {KEYS["camera.run"] - BY})
+        self.assertEqual(keys["camera.run", False], {KEYS["camera.run"]})
+        self.assertEqual(keys["look.run", True], {4000}, "it had run before it was known")
+
+    def test_what_a_module_marks_and_nobody_states_is_ordinary_and_told(self):
+        self.plan_marks("marks", "lookM")
+        done = self.plan_marks("nobody", "lidarM")
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("module 'lidarM' does not hear of source 'camera' by edges", done.stderr)
+        app = json.loads((self.folder / "marks.json").read_text())
+        del app["sources"][0]["urgent"]
+        self.write("unmarked", app)
+        done = self.tool("solve", "unmarked", "--max-evaluations", 300, "--threads", 1, "--time-limit", "60s", "--out",
+                         self.folder / "unmarked-policy.json")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        done, run = self.run_app(1, "--activations", 20, app="unmarked", policy="unmarked-policy", polled=["marks"])
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertRegex(" ".join(run["notes"]), r"XModule 'lookM' marked \d+ results urgent, which nothing certifies")
+
     def test_without_a_statement_it_is_refused(self):
         done, _ = self.run_app(2, "--duration", "1s", app="plain", policy="plain-policy")
         self.assertIn("nothing certifies that in this run", done.stderr)

@@ -34,8 +34,8 @@
 /*
  * With several rates, after ACTIVATE, once per input: seq = when the sensor released what was taken
  * (its origin, ts_ns); arg = the module that published it, or XAUTO_TAKE_SOURCE | the source's
- * index. PUBLISH has such an arg, too; 0 where one event is told for all sources. There
- * XAUTO_RELEASE_URGENT says that the source marked the release urgent.
+ * index. PUBLISH has such an arg, too; 0 where one event is told for all sources. In both
+ * XAUTO_RELEASE_URGENT says that the source, or a module on the way, marked it urgent.
  */
 #define XAUTO_EV_TAKE 13
 

@@ -3,6 +3,7 @@
 // lidar's 8 ms. Every Nth release of the camera is urgent:
 //
 //   urgentapp N [polled]      without the word both are pushed
+//   urgentapp N marks         the camera's messages go through "lookM", which marks every Nth; all are polled
 //
 // It prints to stderr what publish says first of an urgent release that it refuses.
 #include <atomic>
@@ -27,8 +28,9 @@ struct State {
   int done = 0;
 };
 
+/// `marks`: every so many of its results are marked.
 void add(xauto::App& app, const std::string& name, const xauto::Topic<int>& in,
-         std::chrono::microseconds work) {
+         std::chrono::microseconds work, int marks = 0) {
   const xauto::Topic<int> out(name + "/out");
   xauto::XNode<State> node(name + ".run");
   auto context = std::make_shared<std::optional<xauto::emu::Context>>();
@@ -46,6 +48,7 @@ void add(xauto::App& app, const std::string& name, const xauto::Topic<int>& in,
       });
   xauto::XModule<State> module(name + "M");
   module.add_node(node).add_input_topic(in).add_output_topic(out, &State::done);
+  if (marks > 0) module.urgent_if([marks](const State& state) { return state.done % marks == 0; });
   app.add_module(module);
 }
 
@@ -55,6 +58,15 @@ int main(int argc, char** argv) {
   const int every = argc > 1 ? std::atoi(argv[1]) : 2;
   xauto::App app("urgentapp");
   const xauto::Topic<int> camera("camera"), lidar("lidar");
+  if (argc > 2 && argv[2] == std::string("marks")) {
+    const auto number = [](std::uint64_t k) { return static_cast<int>(k); };
+    app.add_source(camera, 20ms, number);
+    app.add_source(lidar, 20ms, number);
+    add(app, "look", camera, 1ms, every);
+    add(app, "camera", xauto::Topic<int>("look/out"), 3ms);
+    add(app, "lidar", lidar, 8ms);
+    return app.main(argc, argv);
+  }
   if (argc > 2) {
     const auto number = [](std::uint64_t k) { return static_cast<int>(k); };
     app.add_source(camera, 20ms, number, [every](int k, std::uint64_t) { return k % every == 0; });

@@ -221,6 +221,33 @@ TEST(Periodic, UrgentReleasesAreRead) {
   EXPECT_FALSE(validate(app));
 }
 
+TEST(Periodic, AModuleMarksWhatItHeardOfForThoseBehindIt) {
+  AppSpec app;
+  app.name = "a";
+  app.sources = {{"camera", {10'000}}, {"lidar", {10'000}}};
+  app.xnodes = {{"see", "M", {{"cpu", 1}}, {0}},
+                {"think", "M", {{"cpu", 1}}},
+                {"act", "N", {{"cpu", 1}}},
+                {"map", "L", {{"cpu", 1}}, {1}}};
+  app.edges = {{0, 1}, {1, 2}};
+  complete_modules(app);
+  complete_chains(app);
+  const auto refusal = [&](const char* module) {
+    app.sources[0].urgent = {100, 10'000, module};
+    const Status status = validate(app);
+    return status ? std::string() : status.error().what;
+  };
+  EXPECT_EQ(refusal(""), "");
+  const std::string by_driver = app.hash();
+  EXPECT_EQ(refusal("M"), "");
+  EXPECT_NE(app.hash(), by_driver) << "a claim depends on it";
+  EXPECT_EQ(parse_app(to_json(app), "app.json").value().sources, app.sources);
+  EXPECT_EQ(refusal("N"),
+            "module 'N' has nobody who hears of it by edges: nothing would be urgent");
+  EXPECT_EQ(refusal("L"), "module 'L' does not hear of source 'camera' by edges");
+  EXPECT_EQ(refusal("none"), "module 'none' does not hear of source 'camera' by edges");
+}
+
 // A join that two sources may make urgent would have two amounts.
 TEST(Periodic, OneSourceOfAComponentMayBeUrgent) {
   AppSpec app = islands({{"a", {1000}}, {"b", {1000}}});

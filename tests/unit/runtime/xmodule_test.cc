@@ -183,6 +183,28 @@ TEST_F(Fixture, AnActivationIsUrgentWhereOneOfItsInputsIsAndSoIsItsResult) {
   EXPECT_EQ(log(), " run0 done0 out0 run1 done1 out1! run2 done2 out2");
 }
 
+TEST_F(Fixture, WhatItsProgramMarksIsUrgentForOthersAndNotTooOften) {
+  std::shared_ptr<Board> board = Board::local({.processes = 1, .modules = 1});
+  const auto both = [&](std::uint64_t k) {
+    message(0, k);
+    message(1, k);
+  };
+  spec_.urgent_if = [](const void*) { return true; };
+  module_->let_mark(2, board->module(0));
+  for (std::uint64_t k = 0; k < 4; ++k) {
+    both(k);
+    EXPECT_FALSE(only().urgent()) << "it has not run yet";
+    module_->finish(only(), k != 2);
+  }
+  EXPECT_EQ(log(), " run0 done0 out0! run1 done1 out1 run2 failed2 skip2 tomb2 run3 done3 out3!");
+  EXPECT_EQ(board->module(0).urgent_too_soon.load(), 1u);
+  module_->let_mark(0, board->module(0));  // nothing certifies it
+  both(4);
+  module_->finish(only(), true);
+  EXPECT_EQ(log(), " run4 done4 out4");
+  EXPECT_EQ(board->module(0).urgent_unheard.load(), 1u);
+}
+
 TEST_F(Fixture, AnActivationCountsAsReleasedWithTheFirstOfItsComponentsSources) {
   module_->shift_origins({0, 500});  // source "b" has an offset of 500 ns
   module_->receive(0, {std::make_shared<const int>(0), 10'000, 0});

@@ -142,6 +142,13 @@ class NaiveRun {
   [[nodiscard]] Time sooner(int xnode, int n) const {
     for (std::size_t s = 0; s < app_.sources.size(); ++s) {
       if (urgent_[s].empty() || urgent_[s][at(n)] == 0) continue;
+      if (const std::string& marks = app_.sources[s].urgent->marked_by; !marks.empty()) {
+        for (const auto& [u, v] : app_.edges)
+          if (app_.xnodes[at(u)].module == marks && app_.xnodes[at(v)].module != marks &&
+              leads(v, xnode))
+            return app_.sources[s].urgent->by_us * scale_;
+        continue;
+      }
       for (std::size_t r = 0; r < app_.xnodes.size(); ++r)
         if (std::count(app_.xnodes[r].sources.begin(), app_.xnodes[r].sources.end(), s) > 0 &&
             leads(static_cast<int>(r), xnode))

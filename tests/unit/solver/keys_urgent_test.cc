@@ -137,12 +137,29 @@ struct Tried {
   std::int64_t jobs = 0;
 };
 
+/// Modules mark in place of drivers, the first that can. False: none can.
+bool marked_by_modules(AppSpec& app) {
+  bool any = false;
+  for (SourceSpec& source : app.sources) {
+    if (!source.urgent) continue;
+    for (const XNodeSpec& xnode : app.xnodes) {
+      source.urgent->marked_by = xnode.module;
+      if (validate(app)) break;
+      source.urgent->marked_by.clear();
+    }
+    any = any || !source.urgent->marked_by.empty();
+  }
+  return any;
+}
+
 /// Solves random apps; `told` is what the solver is told instead of the truth.
 std::string attack_random(const RatedShape& shape, int apps, int plays, std::uint64_t seed,
-                          Tried& tried, const std::function<void(AppSpec&)>& blind = {}) {
+                          Tried& tried, const std::function<void(AppSpec&)>& blind = {},
+                          bool by_modules = false) {
   for (int a = 0; a < apps; ++a) {
     solver::test::Dice dice(seed * 100'003 + static_cast<std::uint64_t>(a));
-    const AppSpec app = random_rated_app(dice, shape);
+    AppSpec app = random_rated_app(dice, shape);
+    if (by_modules && !marked_by_modules(app)) continue;
     const Platform platform = random_rated_platform(dice);
     if (std::none_of(app.sources.begin(), app.sources.end(),
                      [](const SourceSpec& s) { return s.urgent.has_value(); }))
@@ -212,6 +229,79 @@ TEST(KeysUrgent, TheAttackFindsUrgencyOfALargerAmount) {
                               if (s.urgent) s.urgent->by_us = 1;
                           }),
             "");
+}
+
+/// camera -> look (2 ms) -> act (1 ms), beside a lane keeper. What look sees makes act sooner, not itself.
+AppSpec marked_by_look(std::int64_t by_us = 3000) {
+  AppSpec app = two_chains(by_us);
+  app.sources[0].urgent->marked_by = "look";
+  app.xnodes = {{"cam", "look", {{"cpu", 2000}}, {0}},
+                {"lane", "m1", {{"cpu", 5000}}, {1}},
+                {"act", "m2", {{"cpu", 1000}}}};
+  app.edges = {{0, 2}};
+  app.modules.clear();
+  app.chains.clear();
+  complete_modules(app);
+  complete_chains(app);
+  return app;
+}
+
+TEST(KeysUrgent, WhatAModuleMarksIsSoonerForThoseBehindIt) {
+  AppSpec app = marked_by_look();
+  ASSERT_TRUE(validate(app)) << validate(app).error().to_string();
+  Policy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  // By hand: act is due at 8 ms, urgent at 5, and waits for what is there by 4.
+  policy.placements = {{0, {4000}}, {0, {12'000}}, {0, {8000}}};
+  policy.chains = {{"camera -> act", 8000, 0, false, 5000}, {"lane -> lane", 12'000, 0, false}};
+  const auto refusal = [&]() -> std::string {
+    policy.app_hash = app.hash();
+    const auto report = check(app, one_cpu(), policy);
+    return report ? "" : report.error().to_string();
+  };
+  EXPECT_EQ(refusal(), "");
+  // 1 ms in what is left between the key of cam, which is no sooner, and act's own.
+  app.sources[0].urgent->by_us = 3001;
+  policy.chains[0].urgent_worst_case_us = 4999;
+  EXPECT_NE(refusal().find("takes 1000 us"), std::string::npos) << refusal();
+  // If the driver marked, cam would be sooner, too.
+  app.sources[0].urgent->marked_by.clear();
+  app.sources[0].urgent->by_us = 2000;
+  policy.chains[0].urgent_worst_case_us = 6000;
+  EXPECT_EQ(refusal(), "");
+}
+
+TEST(KeysUrgent, NoPatternOfWhatModulesMarkBreaksAPolicy) {
+  RatedShape shape = urgent_shape(1, 0);
+  shape.max_nodes = 6;
+  Tried tried;
+  EXPECT_EQ(attack_random(shape, 120, 12, 41, tried, {}, true), "");
+  shape.clocks = 2;
+  shape.ppm = 100;
+  shape.max_components = 3;
+  EXPECT_EQ(attack_random(shape, 60, 12, 42, tried, {}, true), "");
+  EXPECT_GT(tried.policies, 30);
+}
+
+/// cam ends by its key, 4 ms, behind the lane keeper; act has 1 ms more, and 1 ms less where look marks.
+TEST(KeysUrgent, TheAttackPlaysWhatModulesMark) {
+  AppSpec app = marked_by_look(2000);
+  app.xnodes[1].wcet_us["cpu"] = 2000;
+  Policy policy;
+  policy.app = app.name;
+  policy.placements = {{0, {4000}}, {0, {3900}}, {0, {5000}}};
+  policy.chains = {{"camera -> act", 5000, 0, false, 3000}, {"lane -> lane", 3900, 0, false}};
+  policy.app_hash = app.hash();
+  EXPECT_FALSE(check(app, one_cpu(), policy));
+  const auto found = attack::attack(app, one_cpu(), policy, {20'000, 1});
+  EXPECT_NE(found.late.find("act"), std::string::npos) << found.late << found.chain;
+  EXPECT_EQ(found.late.find("cam"), std::string::npos) << found.late;
+  app.sources[0].urgent.reset();
+  policy.chains[0].urgent_worst_case_us.reset();
+  policy.app_hash = app.hash();
+  EXPECT_TRUE(check(app, one_cpu(), policy)) << check(app, one_cpu(), policy).error().to_string();
+  EXPECT_FALSE(attack::attack(app, one_cpu(), policy, {20'000, 1}).broken());
 }
 
 /// All patterns of urgent releases over twelve releases, of apps of two and three jobs that take
