@@ -145,8 +145,7 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
   const auto node = [&](int i, const std::string& module) {
     auto made = std::make_shared<detail::XNodeSpecErased>();
     made->name = "n" + std::to_string(i);
-    made->impls.push_back({XPU("npu"),
-                           [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); },
+    made->impls.push_back({XPU("npu"), [](auto&&...) { return SchedHandle::gate(); },
                            [](void*, void*, const Input&) -> Status {
                              node_body();
                              return {};

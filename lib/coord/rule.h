@@ -8,6 +8,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -25,8 +26,9 @@ using Key = std::int64_t;
 constexpr Key key_of_priority(std::int64_t priority) {
   return -priority;  // policies bound it, so that this is no overflow
 }
+/// A client's word may be any number.
 constexpr std::int64_t priority_of_key(Key key) {
-  return -key;
+  return key == std::numeric_limits<Key>::min() ? std::numeric_limits<std::int64_t>::max() : -key;
 }
 
 /// What a job is judged by.

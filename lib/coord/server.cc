@@ -400,7 +400,7 @@ XpuStatus Server::status() const {
       worker.xnode = xnode_name(job.xnode);
       worker.job = job.sequence;
       if (options_.by_keys)
-        worker.due_us = (job.key - static_cast<std::int64_t>(now)) / 1000;
+        worker.due_us = job.key / 1000 - static_cast<std::int64_t>(now / 1000);
       else
         worker.priority = priority_of_key(job.key);
       worker.since_us = now > job.since_ns ? (now - job.since_ns) / 1000 : 0;
