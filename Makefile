@@ -27,7 +27,7 @@ perception:
 
 check:
 	@scripts/setup.sh build check transport pedestrians kernel package
-	@scripts/vm/fetch-checkpatch.sh >/dev/null
+	@scripts/vm/fetch-source.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true # its test is skipped then, and says so
 	@scripts/fetch-onnx.sh || true # likewise, with the video
 	@scripts/fetch-video.sh || true
@@ -41,7 +41,7 @@ check-fast:
 check-full:
 	@scripts/setup.sh build check transport pedestrians kernel package jetpack
 	@scripts/fetch-video.sh
-	@scripts/vm/fetch-checkpatch.sh >/dev/null
+	@scripts/vm/fetch-source.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true
 	@scripts/fetch-onnx.sh || true
 	@JOBS=$(JOBS) scripts/check.sh full
@@ -54,6 +54,7 @@ style unit asan tsan fuzz:
 # The kernel side alone: xauto.ko and the emulator modules on several Debian kernels, in QEMU.
 kernel-check:
 	@scripts/setup.sh build check kernel
+	@scripts/vm/fetch-source.sh >/dev/null
 	@JOBS=$(JOBS) scripts/check.sh kernel
 
 # Debian packages of the release build, in build/package/debs. For another machine: make packages ARCH=arm64; for a Jetson: ARCH=jetpack

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # The kernel side's style: what is static has our prefix, since a stack trace shows nothing else of where it is from; and the kernel's
-# checkpatch.pl has nothing to say. Status 77, as skipped: that script is not here (scripts/vm/fetch-checkpatch.sh fetches it).
+# checkpatch.pl has nothing to say. Status 77, as skipped: that script is not here (scripts/vm/fetch-source.sh fetches it).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD bad=0
@@ -18,10 +18,10 @@ if [ -n "$names" ]; then
   bad=1
 fi
 
-checkpatch=${XAUTO_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/xauto}/checkpatch/checkpatch.pl
+checkpatch=${XAUTO_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/xauto}/linux-source/scripts/checkpatch.pl
 if [ ! -e "$checkpatch" ]; then
   [ $bad -eq 0 ] || exit 1
-  echo "no checkpatch.pl here: run scripts/vm/fetch-checkpatch.sh"
+  echo "no checkpatch.pl here: run scripts/vm/fetch-source.sh"
   exit 77
 fi
 elsewhere=$(mktemp -d) # it leaves a file of names where it runs
@@ -41,5 +41,6 @@ patch() { # LENGTH IGNORED FILES...: FILES are git's patterns
   bad=1
 }
 patch 100 "$outside" 'kmod/*.[ch]' 'include/uapi/xauto/*.h' ':!include/uapi/xauto/bpf.h'
+patch 110 "$outside,SPACING" 'tests/kselftest/*.c' # FIXTURE_DATA(name) *self
 patch 120 "$bpf" 'bpf/*.[ch]' include/uapi/xauto/bpf.h
 exit $bad

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Every source file names its licence in one of its first three lines: GPL-2.0 in kmod/, bpf/, BPF tests and
+# Every source file names its licence in one of its first three lines: GPL-2.0 in kmod/, bpf/, their tests in C and
 # include/uapi/, Apache-2.0 elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 status=0
 while read -r file; do
   case $file in
-    kmod/* | bpf/* | tests/vm/*.bpf.c | include/uapi/* | Kbuild) licence=GPL-2.0 ;;
+    kmod/* | bpf/* | tests/vm/*.bpf.c | tests/kselftest/*.c | include/uapi/* | Kbuild) licence=GPL-2.0 ;;
     *) licence=Apache-2.0 ;;
   esac
   if ! head -n 3 "$file" | grep -q "SPDX-License-Identifier: $licence"; then

@@ -27,7 +27,15 @@ count() {
     END { if (planned > run) lost += planned - run; print good + 0, bad + lost, skip + 0 }' "$log")
   read -r good bad skip <<<"$counts"
   passed=$((passed + good)) failed=$((failed + bad)) skipped=$((skipped + skip))
-  [ "$bad" -eq 0 ] || { grep -E '^not ok|^Bail|^# planned' "$log" | head -n 20; }
+  [ "$bad" -eq 0 ] || { grep -E '^not ok|^Bail|^# Planned' "$log" | head -n 20; }
+}
+
+# selftests BIN [MAKE_ARGUMENT ...]: installed as the kernel does it; prints the item for the guest
+selftests() {
+  local bin=$1
+  shift
+  scripts/vm/install-kselftest.sh "$bin" "$out/kselftest" "$@" || return 1
+  echo "$out/kselftest:/kselftest"
 }
 
 # in_vm NAME KERNEL_FOLDER RUN [ROOT=DIR] ITEM...: boots, runs, counts. RUN: the script in tests/vm/ that the guest executes.
@@ -35,7 +43,7 @@ in_vm() {
   local name=$1 kernel=$2 run=$3 status before=$failed root=()
   shift 3
   case ${1:-} in ROOT=*) root=("$1") && shift ;; esac
-  scripts/vm/mk-initrd.sh "$out/$name.cpio.gz" "${root[@]}" "tests/vm/$run:/tests/run" "$@" || { failed=$((failed + 1)); return; }
+  scripts/vm/mk-initrd.sh "$out/$name.cpio.gz" "${root[@]}" "tests/vm/$run:/tests/run" tests/vm/kselftest:/tests/kselftest "$@" || { failed=$((failed + 1)); return; }
   scripts/vm/run-vm.sh "$kernel" "$out/$name.cpio.gz" "$out/$name.log"
   status=$?
   rm -f "$out/$name.cpio.gz"
@@ -76,22 +84,25 @@ no_reports() { # NAME
 
 # kmod NAME [ARCH]: xauto.ko and the emulators, on one of fetch-kernel.sh's kernels, or on "kasan".
 kmod() {
-  local kernel items program programs append=""
+  local kernel items program programs=$build/bin tests append=""
   note "xauto.ko on Linux $1 ${2:-amd64}"
   kernel=$(kmod_kernel "$@") || { failed=$((failed + 1)); return; }
   mapfile -t items < <(modules_of "$kernel" "$out/kmod-$1-${2:-amd64}")
   [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); return; }
-  programs=$build/bin
   if [ "${2:-amd64}" = arm64 ]; then
     programs=$out/arm64-tests
     scripts/vm/build-arm64-tests.sh "$programs" || { failed=$((failed + 1)); return; }
     items=("ROOT=$programs" "${items[@]}")
-  fi
+    tests=$(selftests "$programs" ARCH=arm64 CC=aarch64-linux-gnu-gcc-12 USERLDFLAGS=-static)
+  else
+    tests=$(selftests "$programs")
+  fi || { failed=$((failed + 1)); return; }
   if [ "${2:-amd64}" = amd64 ]; then
-    for program in xauto xauto-coordinator xauto-emud contexts_app; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
-    items+=(tests/kselftest/kmod/contexts.sh:/tests/kmod_contexts tests/kselftest/kmod/contexts.json:/opt/xauto/contexts.json)
+    for program in xauto xauto-coordinator xauto-emud contexts_app driving; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
+    items+=(tests/kselftest/kmod/contexts.json:/opt/xauto/contexts.json examples/driving/app.json:/opt/xauto/driving.json)
+    items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   fi
-  for program in "$programs"/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
+  items+=("$tests")
   # What the kernel does not know on its command line, init gets as its environment.
   [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20"
   # lockdep's reports are warnings; "quiet" hides those.
@@ -110,7 +121,7 @@ kasan() {
     name=$(basename "$patch" .patch)
     mapfile -t items < <(PLANT=$patch modules_of "$kernel" "$out/plant-$name")
     [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); continue; }
-    items+=("$build/bin/kmod_attack_test:/tests/kmod_attack_test")
+    items+=("$out/kselftest:/kselftest") # the lane's
     scripts/vm/mk-initrd.sh "$out/plant-$name.cpio.gz" tests/vm/run-plant:/tests/run "${items[@]}"
     # How the guest ends is not asked: it is broken.
     VM_MEMORY=2G VM_APPEND="loglevel=5" scripts/vm/run-vm.sh "$kernel" "$out/plant-$name.cpio.gz" "$out/plant-$name.log"
@@ -138,11 +149,8 @@ scx() {
   local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
-  for program in scx_test scx_keys_test scx_lend_test scx_machine_test scx_life_test driving_cpu periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do
-    items+=("$build/bin/$program")
-  done
-  items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
-  for program in run tools trace container; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
+  for program in driving_cpu periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do items+=("$build/bin/$program"); done
+  items+=("$(command -v bpftool || echo /usr/sbin/bpftool)" "$(selftests "$build/bin")")
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FULL=1 xauto.kills=200 xauto.tables=10000 xauto.loads=8"
   VM_APPEND="$append ${VM_APPEND:-}" VM_ICOUNT=2 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
@@ -150,10 +158,10 @@ scx() {
 
 # at-once NAME: of that, what needs CPUs that run at the same time.
 at_once() {
-  local kernel items=() program
+  local kernel items=()
   note "sched_ext on CPUs that run at once, on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
-  for program in scx_test scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
+  items=("$build/bin/xauto-cpusched" "$(selftests "$build/bin")")
   VM_APPEND="xauto.at-once ${VM_APPEND:-}" VM_THREADS=single in_vm "at-once-$1" "$kernel" run-scx "${items[@]}"
 }
 
@@ -162,9 +170,8 @@ machine() {
   local kernel items=() program
   note "sched_ext on four CPUs in two clusters, in a container, too, on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
-  for program in scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
+  items=("$build/bin/xauto-cpusched" "$(selftests "$build/bin")")
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
-  items+=("tests/kselftest/scx/container.sh:/tests/scx/container.sh")
   VM_CPUS=4,sockets=2,cores=2 VM_ICOUNT=1 VM_APPEND="${XAUTO_FULL:+xauto.full} ${VM_APPEND:-}" VM_LIMIT_S=${VM_LIMIT_S:-900} \
     in_vm "machine-$1" "$kernel" run-machine "${items[@]}"
 }
@@ -175,7 +182,7 @@ keys() {
   note "keys under sched_ext on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
   for program in periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do items+=("$build/bin/$program"); done
-  for program in keys.sh keys.awk; do items+=("tests/kselftest/scx/$program:/tests/scx/$program"); done
+  items+=("$(selftests "$build/bin")")
   VM_APPEND="${XAUTO_FULL:+xauto.seconds=190} ${VM_APPEND:-}" VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+5400}} \
     in_vm "keys-$1" "$kernel" run-keys "${items[@]}"
   grep '^# jobs' "$out/keys-$1.log"

@@ -67,6 +67,15 @@ Result<UniqueFd> open_pinned_map(const std::string& path) {
   return fd;
 }
 
+Status pin_map(int map_fd, const std::string& path) {
+  unlink(path.c_str());
+  bpf_attr attributes{};
+  attributes.pathname = word(path.c_str());
+  attributes.bpf_fd = static_cast<__u32>(map_fd);
+  if (bpf(BPF_OBJ_PIN, attributes) != 0) return refused("pinning " + path);
+  return {};
+}
+
 Result<MapShape> shape_of(int map_fd) {
   bpf_map_info info{};
   bpf_attr attributes{};

@@ -16,6 +16,9 @@ namespace xauto::kernel {
 /// The map pinned at `path`.
 [[nodiscard]] Result<UniqueFd> open_pinned_map(const std::string& path);
 
+/// In place of what is pinned there.
+[[nodiscard]] Status pin_map(int map_fd, const std::string& path);
+
 struct MapShape {
   std::uint32_t key_size = 0, value_size = 0, max_entries = 0, flags = 0;
 };

@@ -85,7 +85,7 @@ class Probe {
           "is "
           "built in";
     else if (release == "36")
-      meaning = "its own kernel has no BTF: no sched_ext, no `xauto top --record`";
+      meaning = "its own kernel has no BTF: no sched_ext";
     else if (release == "38" || release == "39")
       meaning = rm()
                     ? "its GPU driver is NVIDIA's RM: xauto.ko suspends nothing here, each process "
@@ -225,7 +225,8 @@ class Probe {
       add("btf", Verdict::kOk, "/sys/kernel/btf/vmlinux",
           "BPF programs fit themselves to this kernel");
     else
-      add("btf", Verdict::kMissing, "no /sys/kernel/btf/vmlinux", "no BPF tracing",
+      add("btf", Verdict::kMissing, "no /sys/kernel/btf/vmlinux",
+          "no sched_ext; tracing sees no threads of containers",
           "a kernel with CONFIG_DEBUG_INFO_BTF has it");
   }
 

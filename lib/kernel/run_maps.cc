@@ -9,11 +9,7 @@
 #include <cstring>
 #include <filesystem>
 
-#include <fcntl.h>
-#include <linux/bpf.h>
-#include <sys/file.h>
 #include <sys/stat.h>
-#include <sys/syscall.h>
 
 namespace xauto::kernel {
 namespace {
@@ -38,75 +34,25 @@ constexpr std::array<Known, 8> kKnown = {
 /// Rows of the table for apps that join the run.
 constexpr std::uint32_t kSpare = 512;
 
-UniqueFd open_folder(const std::string& path) {
-  return UniqueFd(::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-}
-
-void hold(const UniqueFd& folder) {
-  while (flock(folder.get(), LOCK_EX) != 0 && errno == EINTR) {
-  }
-}
-
-/// Held by who makes folders of runs, or writes what several runs share.
-class Locked {
- public:
-  Locked() : root_(open_folder(XAUTO_BPF_ROOT)) { hold(root_); }
-
- private:
-  UniqueFd root_;
-};
-
-/// Each run locks its folder as long as it lives. A number says less: in a container it is another's.
-bool maker_lives(const std::string& folder) {
-  const UniqueFd there = open_folder(folder);
-  return there && flock(there.get(), LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
-}
-
-bool good_name(const std::string& run) {
-  return !run.empty() && run.size() <= 64 && std::all_of(run.begin(), run.end(), [](char c) {
-    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
-  });
-}
-
-Status check_name(const std::string& run) {
-  if (good_name(run)) return {};
-  return fail(ErrorCode::kInvalid, "is no name for a run", "'" + run + "'",
-              "letters, digits and dashes; `xauto top --once` shows the runs");
-}
-
-std::vector<std::string> folders() {
-  std::vector<std::string> names;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(XAUTO_BPF_ROOT, error))
-    if (entry.is_directory(error) && good_name(entry.path().filename().string()))
-      names.push_back(entry.path().filename().string());
-  std::sort(names.begin(), names.end());
-  return names;
-}
-
 }  // namespace
 
 std::string RunMaps::folder(const std::string& run) {
-  return std::string(XAUTO_BPF_ROOT) + "/" + run;
+  return RunFolder::path_of(run);
 }
 
 std::vector<std::string> RunMaps::runs() {
-  std::vector<std::string> alive = folders();
-  std::erase_if(alive, [](const std::string& run) { return !maker_lives(folder(run)); });
-  return alive;
-}
-
-void RunMaps::remove(const std::string& run) {
-  std::error_code error;
-  if (!good_name(run)) return;
-  for (const auto& entry : fs::directory_iterator(folder(run), error))
-    fs::remove(entry.path(), error);
-  fs::remove(folder(run), error);
+  std::vector<std::string> runs = RunFolder::alive();
+  // The head is the first, the policy the last; a run without BPF programs has the policy alone.
+  std::erase_if(runs, [](const std::string& run) {
+    std::error_code error;
+    return fs::exists(folder(run) + "/policy", error) && !fs::exists(folder(run) + "/head", error);
+  });
+  return runs;
 }
 
 RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
   std::swap(run_, other.run_);
-  std::swap(owner_, other.owner_);
+  std::swap(own_, other.own_);
   std::swap(first_, other.first_);
   std::swap(xnodes_, other.xnodes_);
   std::swap(life_, other.life_);
@@ -122,10 +68,8 @@ RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
 
 RunMaps::~RunMaps() {
   if (maps_.empty()) return;
-  if (owner_) {
-    remove(run_);
-  } else if (xnodes_ > 0) {
-    const Locked lock;
+  if (!own_ && xnodes_ > 0) {
+    const LockOfAllRuns lock;
     give_back({first_, xnodes_});
   }
 }
@@ -151,43 +95,22 @@ void RunMaps::give_back_of_the_dead() {
     const std::string name = entry.path().filename().string();
     if (sscanf(name.c_str(), "joined-%u-%u", &rows.first, &rows.count) == 2 &&
         rows.first < head().xnodes && rows.count <= head().xnodes - rows.first &&
-        !maker_lives(entry.path().string()))
+        !somebody_lives_in(entry.path().string()))
       give_back(rows);
   }
 }
 
 Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, std::uint32_t slots) {
-  XAUTO_TRY(check_name(run));
   if (xnodes == 0 || xnodes > XAUTO_BPF_MAX_XNODES)
     return fail(ErrorCode::kInvalid, std::to_string(xnodes) + " XNodes; the BPF table holds 1 to " +
                                          std::to_string(XAUTO_BPF_MAX_XNODES));
   slots = std::clamp<std::uint32_t>(slots, 1, XAUTO_BPF_MAX_SLOTS);
   XAUTO_TRY(bpf_is_built_in());
-  XAUTO_TRY(mount_bpffs());
-  const auto make = [](const std::string& path) -> Status {
-    if (mkdir(path.c_str(), 0700) == 0 || errno == EEXIST) return {};
-    return fail(errno == EACCES || errno == EPERM ? ErrorCode::kPermission : ErrorCode::kIo,
-                path + ": " + strerror(errno), {}, bpf_hint());
-  };
-  XAUTO_TRY(make(XAUTO_BPF_ROOT));
   RunMaps maps;
-  {
-    const Locked lock;
-    for (const std::string& old : folders())
-      if (!maker_lives(folder(old))) remove(old);
-    XAUTO_TRY(make(folder(run)));
-    maps.life_ = open_folder(folder(run));
-    hold(maps.life_);
-  }
+  XAUTO_ASSIGN(maps.own_, RunFolder::make(run));
   maps.run_ = run;
-  maps.owner_ = true;
   const std::uint32_t rows = std::min<std::uint32_t>(xnodes + kSpare, XAUTO_BPF_MAX_XNODES);
-  auto loaded = load_maps(folder(run), rows, slots);
-  if (!loaded) {
-    remove(run);
-    return tl::unexpected<Error>(std::move(loaded).error());
-  }
-  maps.maps_ = std::move(*loaded);
+  XAUTO_ASSIGN(maps.maps_, load_maps(folder(run), rows, slots));
   XAUTO_TRY(maps.map_all(true));
   auto& head = *maps.head_.as<xauto_bpf_head>();
   head.xnodes = rows;
@@ -201,7 +124,7 @@ Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, st
 
 Result<RunMaps> RunMaps::join(const std::string& run, std::uint32_t xnodes) {
   XAUTO_ASSIGN(RunMaps maps, open(run, true));
-  const Locked lock;
+  const LockOfAllRuns lock;
   maps.give_back_of_the_dead();
   const __u64 version = maps.head().version;
   const xauto_bpf_entry* table = maps.bank(version);
@@ -215,8 +138,7 @@ Result<RunMaps> RunMaps::join(const std::string& run, std::uint32_t xnodes) {
   const std::string own = maps.folder_of({end - xnodes, xnodes});
   if (mkdir(own.c_str(), 0700) != 0)
     return fail(ErrorCode::kIo, own + ": " + strerror(errno), {}, bpf_hint());
-  maps.life_ = open_folder(own);
-  hold(maps.life_);
+  maps.life_ = live_in(own);
   maps.first_ = end - xnodes;
   maps.xnodes_ = xnodes;
   for (std::uint32_t i = maps.first_; i < end; ++i) names[i].xnode[0] = '?';
@@ -228,7 +150,7 @@ Result<RunMaps> RunMaps::open(const std::string& run) {
 }
 
 Result<RunMaps> RunMaps::open(const std::string& run, bool writes) {
-  XAUTO_TRY(check_name(run));
+  XAUTO_TRY(RunFolder::check_name(run));
   RunMaps maps;
   maps.run_ = run;
   for (const Known& known : kKnown) {
@@ -282,21 +204,14 @@ int RunMaps::fd(const std::string& name) const {
 }
 
 Status RunMaps::pin(int map_fd, const std::string& name) const {
-  const std::string path = folder(run_) + "/" + name;
-  unlink(path.c_str());
-  bpf_attr attributes{};
-  attributes.pathname = reinterpret_cast<std::uint64_t>(path.c_str());
-  attributes.bpf_fd = static_cast<__u32>(map_fd);
-  if (syscall(SYS_bpf, BPF_OBJ_PIN, &attributes, sizeof attributes) != 0)
-    return fail(ErrorCode::kIo, "pinning " + path + ": " + strerror(errno));
-  return {};
+  return pin_map(map_fd, folder(run_) + "/" + name);
 }
 
 Status RunMaps::set_names(const std::vector<XNodeName>& names) {
   if (names.size() != xnodes_)
     return fail(ErrorCode::kInvalid,
                 std::to_string(names.size()) + " names for " + std::to_string(xnodes_) + " XNodes");
-  const Locked lock;
+  const LockOfAllRuns lock;
   auto* into = names_.as<xauto_bpf_name>() + first_;
   for (std::size_t i = 0; i < names.size(); ++i) {
     into[i] = {};
@@ -348,7 +263,7 @@ Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
                       " us; CPUs are below " + std::to_string(XAUTO_BPF_MAX_CPUS) +
                       ", keys within 2^60 of 0");
   }
-  const Locked lock;
+  const LockOfAllRuns lock;
   publish({first_, xnodes_}, rows);
   return {};
 }

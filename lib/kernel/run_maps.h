@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,7 @@
 
 #include "base/unique_fd.h"
 #include "kernel/bpf_sys.h"
+#include "kernel/run_folder.h"
 
 namespace xauto::kernel {
 
@@ -53,8 +55,6 @@ class RunMaps {
   /// Names of the runs that have maps and whose maker lives.
   [[nodiscard]] static std::vector<std::string> runs();
   [[nodiscard]] static std::string folder(const std::string& run);
-  /// Unpins whatever the run has pinned.
-  static void remove(const std::string& run);
 
   RunMaps(RunMaps&&) noexcept = default;
   RunMaps& operator=(RunMaps&& other) noexcept;
@@ -83,7 +83,7 @@ class RunMaps {
   /// Descriptors of the maps by name: "head", "table", "slots", "jobs", "sched", "counts",
   /// "names", "threads".
   [[nodiscard]] int fd(const std::string& name) const;
-  /// Pins one more map of this run; `remove` takes it away.
+  /// Pins one more map of this run, which goes with the run.
   [[nodiscard]] Status pin(int map_fd, const std::string& name) const;
 
  private:
@@ -102,9 +102,9 @@ class RunMaps {
     return table_.as<xauto_bpf_entry>() + (version % XAUTO_BPF_BANKS) * head().xnodes;
   }
   std::string run_;
-  bool owner_ = false;                    ///< made them, and removes them
+  std::optional<RunFolder> own_;          ///< made them; nullopt: another run did
   std::uint32_t first_ = 0, xnodes_ = 0;  ///< the rows that are ours to write; 0: none
-  UniqueFd life_;  ///< the run's folder, or a joined one's: locked as long as this process lives
+  UniqueFd life_;  ///< of a joined run, its folder: locked as long as this process lives
   std::vector<NamedMap> maps_;
   MappedMap head_, table_, slots_, jobs_, sched_, names_;
 };

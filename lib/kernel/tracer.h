@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The tracing programs (bpf/xauto_trace.bpf.c) on one run's XNode threads, for as long as the
-// object lives. On any kernel with BTF, whoever schedules.
+// object lives, whoever schedules. On a kernel without BTF by its tracepoints' formats; then threads in PID namespaces of
+// their own are not seen.
 #pragma once
 
 #include <cstdint>

@@ -7,6 +7,7 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "coord/rule.h"
+#include "session/policy_rows.h"
 
 namespace xauto::launch {
 namespace {
@@ -76,6 +77,18 @@ bool join_other(const CpuRunRequest& request, const std::vector<kernel::TableRow
 }
 
 }  // namespace
+
+Result<DeployedPolicy> deploy_policy(const runtime::Session& session, const std::string& run,
+                                     const kernel::RunMaps* maps) {
+  XAUTO_ASSIGN(kernel::PolicyMap map, kernel::PolicyMap::create(runtime::policy_rows(
+                                          session, runtime::first_table(session))));
+  std::optional<kernel::RunFolder> folder;
+  if (maps == nullptr || maps->run() != run) {
+    XAUTO_ASSIGN(folder, kernel::RunFolder::make(run));
+  }
+  XAUTO_TRY(map.pin(kernel::RunFolder::path_of(run)));
+  return DeployedPolicy{std::move(folder), std::move(map)};
+}
 
 CpuRun prepare_cpus(const CpuRunRequest& request) {
   CpuRun run;

@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "kernel/policy_map.h"
 #include "kernel/run_maps.h"
 #include "kernel/scx_process.h"
 #include "model/app.h"
@@ -18,6 +19,16 @@
 #include "session/session.h"
 
 namespace xauto::launch {
+
+/// The map of a run's policy, for as long as this lives: in the folder of the run's other maps, or in one of its own.
+struct DeployedPolicy {
+  std::optional<kernel::RunFolder> folder;
+  kernel::PolicyMap map;
+};
+/// Of a session that runs, whatever its XPUs are. `maps`: those of the run that are this run's own; null: it has none.
+[[nodiscard]] Result<DeployedPolicy> deploy_policy(const runtime::Session& session,
+                                                   const std::string& run,
+                                                   const kernel::RunMaps* maps);
 
 struct CpuRunRequest {
   std::string run;  ///< name for the maps

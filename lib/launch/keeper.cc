@@ -5,6 +5,7 @@
 #include <climits>
 #include <cstdlib>
 #include <cstring>
+#include <optional>
 
 #include <dlfcn.h>
 #include <poll.h>
@@ -13,6 +14,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/log.h"
 #include "base/memory_file.h"
 #include "base/rt.h"
 #include "base/socket.h"
@@ -106,6 +108,7 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
   Daemons daemons(bin, notes_);
   UniqueFd file;
   std::vector<UniqueFd> marks;
+  std::optional<DeployedPolicy> policy;
   const auto begin = [&]() -> Status {
     std::vector<std::string> names = socket_names(session);
     const std::vector<std::string> of_xpus = runtime::marks_of(session);
@@ -115,6 +118,13 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
     session.own_sockets = sockets.stem();
     XAUTO_TRY(daemons.start_emulator(session, sockets));
     emulator_ = daemons.emulator();
+    if (auto deployed = deploy_policy(session, sockets.run(), nullptr)) {
+      policy.emplace(std::move(*deployed));
+      session.cpu.policy = sockets.run();
+    } else {
+      log::info("the policy is in no BPF map, for bpftool to show: {}",
+                deployed.error().to_string());
+    }
     if (session.scheduling != runtime::Scheduling::kXAuto) return {};
     decide_cpu_by_keys(session);  // App::run has no sched_ext to ask for
     for (const Xpu& xpu : session.platform.xpus)

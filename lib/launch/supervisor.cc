@@ -237,6 +237,13 @@ class Supervisor {
       session.cpu.run = cpus_.maps->run();
       session.cpu.first_xnode = cpus_.maps->first();
     }
+    auto policy = deploy_policy(session, run, cpus_.maps ? &*cpus_.maps : nullptr);
+    if (policy) {
+      policy_.emplace(std::move(*policy));
+      session.cpu.policy = run;
+    } else {
+      log::debug("the policy is in no BPF map: {}", policy.error().to_string());
+    }
     if (cpus_.scheduler) {
       session.cpu.scheduler_pid = cpus_.scheduler->child.pid();
       session.cpu.partial = cpus_.partial;
@@ -470,6 +477,7 @@ class Supervisor {
   std::vector<ModuleProcess> processes_;
   Child app_;
   CpuRun cpus_;
+  std::optional<DeployedPolicy> policy_;
   bool stopped_ = false;  ///< by the user
   bool silence_told_ = false;
   Dumps dumps_[2];  ///< misses, hangs

@@ -85,6 +85,9 @@ struct CpuPlan {
   /// They follow keys by SCHED_FIFO: the coordinator admits one job per core and has the others
   /// lowered. Of a policy of keys, where that is permitted and sched_ext does not do it.
   bool by_keys = false;
+  /// Who has pinned the policy's map (kernel/policy_map.h), which a change of the table has to be told to; empty:
+  /// nobody.
+  std::string policy;
 };
 
 /// The app in several processes.

@@ -16,18 +16,22 @@
 namespace xauto::runtime {
 
 Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, Ledger& ledger,
-                                                       ScenarioWatch::TellTimes tell_times) {
+                                                       ScenarioWatch::TellTimes tell_times,
+                                                       std::function<void(std::size_t)> show) {
   if (!context.session.tables) return std::unique_ptr<TableSwitch>();
   XAUTO_ASSIGN(auto watch, ScenarioWatch::start(context, std::move(tell_times)));
-  return std::unique_ptr<TableSwitch>(new TableSwitch(context, ledger, std::move(watch)));
+  return std::unique_ptr<TableSwitch>(
+      new TableSwitch(context, ledger, std::move(watch), std::move(show)));
 }
 
 TableSwitch::TableSwitch(const Context& context, Ledger& ledger,
-                         std::unique_ptr<ScenarioWatch> watch)
+                         std::unique_ptr<ScenarioWatch> watch,
+                         std::function<void(std::size_t)> show)
     : context_(context),
       ledger_(ledger),
       tables_(*context.session.tables),
       watch_(std::move(watch)),
+      show_(std::move(show)),
       table_(watch_->now().table),
       scenario_(watch_->now().scenario) {
   const Session& session = context.session;
@@ -138,6 +142,7 @@ void TableSwitch::put(std::uint64_t from_us, int table) {
   context_.board.put_table(from_us, static_cast<std::uint32_t>(table));
   if (from_us > 0) context_.board.header().switches.fetch_add(1);
   table_ = table;
+  show_(static_cast<std::size_t>(table));
 }
 
 /// That an XPU is lost, and that no scenario allows what was seen, is told also where the scenario is the

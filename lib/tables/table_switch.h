@@ -22,6 +22,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -53,8 +54,10 @@ constexpr bool noticed_in_time(std::int64_t now_ns, std::int64_t too_long_ns,
 class TableSwitch {
  public:
   /// Null in a run without tables.
+  /// `show`: told of each table as soon as releases get it, the first as well; what it does is short.
   [[nodiscard]] static Result<std::unique_ptr<TableSwitch>> make(
-      const Context& context, Ledger& ledger, ScenarioWatch::TellTimes tell_times);
+      const Context& context, Ledger& ledger, ScenarioWatch::TellTimes tell_times,
+      std::function<void(std::size_t table)> show);
 
   /// Activations that are nominally released at `nominal_ns` of CLOCK_MONOTONIC are about to be, or those
   /// that were in part: gives them their table. Never waits.
@@ -73,7 +76,8 @@ class TableSwitch {
   void report(RunReport& into);
 
  private:
-  TableSwitch(const Context& context, Ledger& ledger, std::unique_ptr<ScenarioWatch> watch);
+  TableSwitch(const Context& context, Ledger& ledger, std::unique_ptr<ScenarioWatch> watch,
+              std::function<void(std::size_t table)> show);
   void give_table(std::int64_t nominal_ns);
   void put(std::uint64_t from_us, int table);
   std::int64_t change_table(std::uint64_t from_us, const Choice& to, bool in_time);
@@ -86,6 +90,7 @@ class TableSwitch {
   Ledger& ledger_;
   const Tables& tables_;
   const std::unique_ptr<ScenarioWatch> watch_;
+  const std::function<void(std::size_t table)> show_;
   int table_ = 0;                 ///< in force
   int scenario_ = 0;              ///< the one that was told
   int lost_ = -1;                 ///< the XPU that was last told to be lost

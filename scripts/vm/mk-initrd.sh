@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # Packs an initramfs: busybox, our init, the tests and their libraries.
 # usage: mk-initrd.sh OUT.cpio.gz [ROOT=DIR] SRC[:DST] ...      a bare SRC lands in /bin; a folder is copied whole to DST
-# The libraries that each ELF needs are added. With ROOT (a folder of another architecture, with its bin/busybox) they are not: what comes
+# The libraries that each ELF needs are added, of a folder's programs as well. With ROOT (a folder of another architecture, with its bin/busybox) they are not: what comes
 # from there is linked statically.
 set -euo pipefail
 out=$(realpath -m "$1")
@@ -38,6 +38,7 @@ for item in "$@"; do
   if [ -d "$src" ]; then
     mkdir -p "$dir$dst"
     cp -rL "$src/." "$dir$dst/"
+    [ -n "$sysroot" ] || for file in $(find "$src" -type f -perm -u+x); do add_libraries "$file"; done
   else
     install -D -m755 "$src" "$dir$dst"
     [ -n "$sysroot" ] || add_libraries "$src"

@@ -12,6 +12,7 @@ STAND_INS = {
     "fetch-kernel.sh": 'echo kernel',
     "build-kmod.sh": 'true',
     "mk-initrd.sh": 'true',
+    "install-kselftest.sh": 'true',
     "run-vm.sh": 'printf "TAP version 13\\n1..1\\nok 1 it ran\\n# given: $VM_APPEND\\n" > "$3"',
 }
 

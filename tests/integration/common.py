@@ -8,6 +8,7 @@ import ctypes
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import time
 
@@ -57,6 +58,16 @@ def top(tool, *options, wait_s=10):
     done = subprocess.run([XAUTO, "top", "--run", f"{tool.pid}-0", "--wait", f"{wait_s}s", "--interval", "50ms", "--once",
                            "--json", *map(str, options)], timeout=120, capture_output=True, text=True, preexec_fn=without_bpf)
     return json.loads(done.stdout)["runs"][0] if done.stdout else {}
+
+
+def deployed(tool):
+    """What bpftool shows of the policy of a run by `xauto run`, as docs/tracing.md says; None: it may not, or is not there."""
+    bpftool = shutil.which("bpftool", path=os.environ["PATH"] + ":/usr/sbin")
+    path = f"/sys/fs/bpf/xauto/{tool.pid}-0/policy"
+    if bpftool is None or os.geteuid() != 0 or not os.path.exists("/sys/fs/bpf"):
+        return None
+    shown = subprocess.run([bpftool, "map", "dump", "pinned", path], capture_output=True, text=True)
+    return [row["value"] for row in json.loads(shown.stdout)] if shown.returncode == 0 else None
 
 
 def activations(tool):

@@ -12,7 +12,7 @@ import tempfile
 import unittest
 
 import pftrace
-from common import BIN, QUEUES, XAUTO, top, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, deployed, top, wait_for, xauto
 
 RATES = pathlib.Path(__file__).parents[2] / "examples" / "driving" / "rates.json"
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}},
@@ -73,6 +73,7 @@ class KeyTables(unittest.TestCase):
             self.assertEqual(xauto("param", "scenario", *run, name).returncode, 0)
             at = released()
             wait_for("releases after the wish", lambda: released() > at + 120, tool)
+            self.judge_deployed(tool)
         self.live = top(tool)["scenario"]
         tool.terminate()
         self.assertEqual(tool.wait(timeout=60), 0, (self.folder / "err").read_text())
@@ -81,6 +82,21 @@ class KeyTables(unittest.TestCase):
         self.assertIn("by the policy's keys", report["claims"]["of"])
         self.judge(report)
         return report
+
+    def judge_deployed(self, tool):
+        """The BPF map has the table of the scenario that is in force, and no row else; where this user may see it."""
+        if deployed(tool) is None:
+            return
+        serves = {s["scenario"]: s["table"] for s in self.tables["serves"]}
+
+        def agree():
+            now = serves[top(tool)["scenario"]["name"]]
+            number = [t["name"] for t in self.tables["tables"]].index(now)
+            return deployed(tool) == [
+                {"xnode": x["name"], "xpu": x["xpu"], "by": "key_us", "keys": len(x["key_us"]), "value": x["key_us"][0],
+                 "xpu_index": row["xpu_index"], "table": number}
+                for x, row in zip(self.tables["tables"][number]["xnodes"], deployed(tool))]
+        wait_for("the table in force in the map", agree, tool)
 
     def judge_changes(self, report):
         """Where a change took another table, a result met it. What is claimed of that is of the two tables and its chain."""

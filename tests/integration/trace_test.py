@@ -4,13 +4,14 @@
 import json
 import os
 import pathlib
+import shutil
 import signal
 import subprocess
 import tempfile
 import unittest
 
 import pftrace
-from common import APP, DRIVING, TESTAPP, XAUTO, activations, testapp_files, wait_for, xauto
+from common import APP, DRIVING, TESTAPP, XAUTO, activations, deployed, testapp_files, wait_for, xauto
 
 ROOT = pathlib.Path("/sys/fs/bpf/xauto")
 KINDS = {"wakeup", "run", "preempt", "sleep", "migrate"}
@@ -62,7 +63,10 @@ class Trace(unittest.TestCase):
         return json.loads(out)["runs"][0]
 
     def record(self, run, file, interval_ms, *options):
-        return xauto("top", "--run", f"{run.pid}-0", "--wait", "60s", "--once", "--interval", f"{interval_ms}ms", "--record", file, *options)
+        return self.look("--run", f"{run.pid}-0", "--wait", "60s", "--once", "--interval", f"{interval_ms}ms", "--record", file, *options)
+
+    def look(self, *options):
+        return xauto("top", *options)
 
     def own(self, run):
         """Folders of this run's maps."""
@@ -150,7 +154,7 @@ class Trace(unittest.TestCase):
         run = self.drive()
         def look():
             """Of the second look: what has begun and ended since the first. None if the GPU did nothing meanwhile."""
-            top = xauto("top", "--run", f"{run.pid}-0", "--wait", "60s", "--count", "2", "--interval", "700ms", "--json")
+            top = self.look("--run", f"{run.pid}-0", "--wait", "60s", "--count", "2", "--interval", "700ms", "--json")
             self.assertEqual(top.returncode, 0, top.stderr)
             last = json.loads(top.stdout.splitlines()[-1])["runs"][0]
             load = {x["xpu"]: x.get("load_pct", 0) for x in last["xpus"]}
@@ -175,6 +179,22 @@ class Trace(unittest.TestCase):
         after.communicate(timeout=60)
         self.assertEqual(self.own(run), [])
 
+    def test_the_policy_is_a_map_that_bpftool_shows_row_by_row(self):
+        """Also without BPF programs, as on Linux 6.1; of ROS 2's way without XPUs."""
+        if not shutil.which("bpftool", path=os.environ["PATH"] + ":/usr/sbin"):
+            self.skipTest("no bpftool")
+        policy = json.loads(pathlib.Path(self.policy).read_text())
+        run = self.drive()
+        rows = wait_for("the map", lambda: deployed(run), run)
+        self.stop(run)
+        xpus = [x["xpu"] for x in policy["xnodes"]]
+        self.assertTrue({"gpu0", "dla0"} <= set(xpus) and any(x.startswith("cpu") for x in xpus), xpus)
+        self.assertEqual([(r["xnode"], r["xpu"], r["by"], r["value"]) for r in rows],
+                         [(x["name"], x["xpu"], "priority", x["priority"]) for x in policy["xnodes"]])
+        page = (pathlib.Path(__file__).parents[2] / "docs" / "tracing.md").read_text()
+        shown = page.split('"value": {', 1)[1].split("}", 1)[0]
+        self.assertEqual(list(json.loads("{" + shown + "}")), list(rows[0]), "what docs/tracing.md shows")
+
     def test_without_a_run_it_says_so(self):
         for name in ("1-999", "../etc"):
             trace = xauto("top", "--run", name, "--record", os.path.join(self.dir.name, "none.jsonl"))
@@ -185,6 +205,20 @@ class Trace(unittest.TestCase):
         run = self.drive("--cpu-sched", "ext", releases=2)
         answer, _ = run.communicate(timeout=60)
         self.assertIn("the CPUs are emulated: --cpu-sched ext has no effect", answer)
+
+
+@unittest.skipIf(WHY_NOT, WHY_NOT)
+class TraceWithoutBtf(Trace):
+    """All of it again where the tracer finds no BTF, and goes by the tracepoints' formats."""
+
+    def look(self, *options):
+        hidden = "mount -t tmpfs none /sys/kernel/btf && exec \"$@\""
+        return subprocess.run(["unshare", "--mount", "sh", "-c", hidden, "-", XAUTO, "top", *map(str, options)],
+                              timeout=120, capture_output=True, text=True)
+
+    test_what_the_buffer_could_not_take_is_told_first = None  # it asks the tool, which is one
+    test_without_a_run_it_says_so = test_emulated_cpus_are_not_scheduled_by_sched_ext = None
+    test_the_policy_is_a_map_that_bpftool_shows_row_by_row = test_nothing_stays_behind = None
 
 
 if __name__ == "__main__":

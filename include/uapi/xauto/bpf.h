@@ -27,6 +27,7 @@
  * History: 1 - first version.
  *          2 - the counts are per CPU, in a map of their own; XAUTO_BPF_STAT_NO_SLOT.
  *          3 - keys instead of priorities; XAUTO_BPF_STAT_BAD_KEY.
+ *              Map "policy", which stands for itself.
  */
 #ifndef _UAPI_XAUTO_BPF_H
 #define _UAPI_XAUTO_BPF_H
@@ -209,6 +210,31 @@ struct xauto_bpf_name {
 	__u32 pad;
 };
 
+/**
+ * struct xauto_bpf_policy - one XNode as the policy in force has it. Map "policy", by the app's XNodes and no more; its
+ * name is XAUTO_BPF_POLICY, and `bpftool map dump` prints it by these names. For people and tools: nobody schedules by
+ * it. Every run that may make maps has it, with and without BPF programs. Written by the run, anew with each change of
+ * its table.
+ * @xnode:     name of the XNode, cut, ended by 0
+ * @xpu:       name of its XPU; empty: the run places nothing
+ * @by:        what its jobs go by: "key_us", "priority"; "nobody": no one schedules; "off": it gets no jobs
+ * @keys:      by keys: how many it has; its jobs have them in turn, and @value is the first
+ * @value:     key_us: a job is done by its nominal release plus so many microseconds, and who has less time goes first.
+ *             priority: the larger goes first
+ * @xpu_index: of that XPU in the platform
+ * @table:     index of the policy among the run's tables; rows of two tables: it was read while it changed
+ */
+struct xauto_bpf_policy {
+	char xnode[48];
+	char xpu[24];
+	char by[12];
+	__u32 keys;
+	__s64 value;
+	__u32 xpu_index;
+	__u32 table;
+};
+#define XAUTO_BPF_POLICY "xauto_policy"
+
 /* ---- tracing ------------------------------------------------------------------------------- */
 
 #define XAUTO_BPF_EV_WAKEUP 1  /* the thread became ready; arg: tid that woke it */
@@ -307,6 +333,7 @@ XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_slot) == 128);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_job) == 64);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_sched) == 280);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_name) == 80);
+XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_policy) == 104);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_event) == 56);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_hist) == 632);
 

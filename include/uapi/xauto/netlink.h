@@ -74,7 +74,8 @@
  *
  * Errors, with a text in the extended acknowledgment
  * ------
- * EINVAL      an attribute is missing or out of range, or the file is not what TYPE says
+ * EINVAL      an attribute is missing or unknown, or the file is not what TYPE says
+ * ERANGE      an attribute is out of range
  * EBADF       no such descriptor in the calling process
  * ESRCH       no such process
  * EPERM       another user's queue, or see XAUTO_CMD_WATCHDOG

@@ -7,25 +7,30 @@
 #include <unistd.h>
 
 #include "kernel/libbpf/session.h"
+#include "kernel/trace_format.h"
 
 #include "xauto_trace.skel.h"
+#include "xauto_trace_tp.skel.h"
 
 namespace xauto::kernel {
 
 struct Tracer::Attached {
-  xauto_trace* object = nullptr;
+  std::function<void()> destroy = [] {};
   ring_buffer* ring = nullptr;
   MappedMap hist, cpus, losses;
   std::uint32_t xnodes = 0;
   const std::function<void(const xauto_bpf_event&)>* sink = nullptr;
   std::string folder;  ///< where we have pinned; empty: nowhere
 
+  template <class Skeleton>
+  [[nodiscard]] Status load(Skeleton* object, const RunMaps& maps, const TracerOptions& options);
+
   ~Attached() {
     if (!folder.empty())
       for (const char* name : {"events", "pipe", "hist", "cpus", "losses"})
         unlink((folder + "/" + name).c_str());
     ring_buffer__free(ring);
-    xauto_trace__destroy(object);
+    destroy();
   }
 };
 
@@ -33,55 +38,98 @@ Tracer::Tracer() = default;
 Tracer::Tracer(Tracer&&) noexcept = default;
 Tracer::~Tracer() = default;
 
-Result<Tracer> Tracer::attach(const RunMaps& maps, const TracerOptions& options) {
-  std::error_code ignored;
-  if (!std::filesystem::exists("/sys/kernel/btf/vmlinux", ignored))
-    return fail(ErrorCode::kUnavailable,
-                "this kernel has no BTF (/sys/kernel/btf/vmlinux; CONFIG_DEBUG_INFO_BTF)");
-  Tracer tracer;
-  tracer.attached_ = std::make_unique<Attached>();
-  Attached& attached = *tracer.attached_;
-  const LibbpfMessages messages;
-  attached.object = xauto_trace__open();
-  if (attached.object == nullptr) return libbpf_failed("opening the tracer", errno);
-  attached.object->rodata->record_events = options.events;
-  auto& of = attached.object->maps;
+namespace {
+
+/// Where a record has what the programs read of it.
+Status place(xauto_trace_tp& object) {
+  constexpr std::uint32_t kNumber = 4, kLong = 8, kName = 16;
+  auto& knobs = *object.rodata;
+  struct Wanted {
+    const char *event, *field;
+    std::uint32_t size;
+    unsigned* at;
+  };
+  std::uint32_t state_size = kLong;
+  for (const Wanted& wanted :
+       {Wanted{"sched/sched_switch", "prev_pid", kNumber, &knobs.prev_pid_at},
+        Wanted{"sched/sched_switch", "prev_state", 0, &knobs.prev_state_at},
+        Wanted{"sched/sched_switch", "next_pid", kNumber, &knobs.next_pid_at},
+        Wanted{"sched/sched_switch", "next_comm", kName, &knobs.next_comm_at},
+        Wanted{"sched/sched_wakeup", "pid", kNumber, &knobs.woken_pid_at},
+        Wanted{"sched/sched_migrate_task", "pid", kNumber, &knobs.moved_pid_at},
+        Wanted{"sched/sched_migrate_task", "dest_cpu", kNumber, &knobs.moved_cpu_at},
+        Wanted{"sched/sched_process_exit", "pid", kNumber, &knobs.ended_pid_at}}) {
+    XAUTO_ASSIGN(const std::string format, trace_format(wanted.event));
+    const auto field = trace_field(format, wanted.field);
+    if (!field || (wanted.size == 0 ? field->size != kNumber && field->size != kLong
+                                    : field->size != wanted.size))
+      return fail(ErrorCode::kUnavailable, std::string("this kernel's tracepoint ") + wanted.event +
+                                               " has no '" + wanted.field + "' as we know it");
+    *wanted.at = field->at;
+    if (wanted.size == 0) state_size = field->size;
+  }
+  knobs.prev_state_is_long = state_size == kLong;
+  return {};
+}
+
+Status place(xauto_trace&) {
+  return {};  // by the kernel's BTF
+}
+
+}  // namespace
+
+template <class Skeleton>
+Status Tracer::Attached::load(Skeleton* object, const RunMaps& maps, const TracerOptions& options) {
+  if (object == nullptr) return libbpf_failed("opening the tracer", errno);
+  destroy = [object] { Skeleton::destroy(object); };
+  object->rodata->record_events = options.events;
+  XAUTO_TRY(place(*object));
+  auto& of = object->maps;
   for (bpf_map* map : {of.head, of.slots, of.threads}) XAUTO_TRY(reuse(map, maps));
-  attached.xnodes = maps.head().xnodes;
-  bpf_map__set_max_entries(of.hist, attached.xnodes);
+  xnodes = maps.head().xnodes;
+  bpf_map__set_max_entries(of.hist, xnodes);
   bpf_map__set_max_entries(of.cpus, static_cast<__u32>(sysconf(_SC_NPROCESSORS_CONF)));
   bpf_map__set_max_entries(of.events,
                            std::bit_ceil(std::max(options.ring_bytes, std::uint32_t{4096})));
-  const VerifierLog verifier(attached.object->obj);
-  const int load_error = xauto_trace__load(attached.object);
+  const VerifierLog verifier(object->obj);
+  const int load_error = Skeleton::load(object);
   verifier.write();
   if (load_error != 0) return libbpf_failed("the kernel did not accept the tracer", load_error);
-  if (const int error = xauto_trace__attach(attached.object); error != 0)
+  if (const int error = Skeleton::attach(object); error != 0)
     return libbpf_failed("attaching the tracer", error);
   const auto map_array = [](MappedMap& into, const bpf_map* map, std::size_t size) -> Status {
     XAUTO_ASSIGN(into, MappedMap::map(bpf_map__fd(map), size, false));
     return {};
   };
-  XAUTO_TRY(map_array(attached.hist, of.hist, sizeof(xauto_bpf_hist)));
-  XAUTO_TRY(map_array(attached.cpus, of.cpus, sizeof(xauto_bpf_cpu)));
-  XAUTO_TRY(map_array(attached.losses, of.losses, sizeof(xauto_bpf_losses)));
-  attached.ring = ring_buffer__new(
+  XAUTO_TRY(map_array(hist, of.hist, sizeof(xauto_bpf_hist)));
+  XAUTO_TRY(map_array(cpus, of.cpus, sizeof(xauto_bpf_cpu)));
+  XAUTO_TRY(map_array(losses, of.losses, sizeof(xauto_bpf_losses)));
+  ring = ring_buffer__new(
       bpf_map__fd(of.events),
       [](void* context, void* data, size_t size) -> int {
-        const auto& sink = *static_cast<Attached*>(context)->sink;
-        if (size >= sizeof(xauto_bpf_event)) sink(*static_cast<const xauto_bpf_event*>(data));
+        if (size >= sizeof(xauto_bpf_event))
+          (*static_cast<Attached*>(context)->sink)(*static_cast<const xauto_bpf_event*>(data));
         return 0;
       },
-      &attached, nullptr);
-  if (attached.ring == nullptr) return libbpf_failed("mapping the ring buffer", errno);
-  if (options.pin) {
-    attached.folder = RunMaps::folder(maps.run());
-    XAUTO_TRY(maps.pin(bpf_map__fd(of.events), "events"));
-    XAUTO_TRY(maps.pin(bpf_map__fd(of.pipe), "pipe"));
-    XAUTO_TRY(maps.pin(bpf_map__fd(of.hist), "hist"));
-    XAUTO_TRY(maps.pin(bpf_map__fd(of.cpus), "cpus"));
-    XAUTO_TRY(maps.pin(bpf_map__fd(of.losses), "losses"));
-  }
+      this, nullptr);
+  if (ring == nullptr) return libbpf_failed("mapping the ring buffer", errno);
+  if (!options.pin) return {};
+  folder = RunMaps::folder(maps.run());
+  XAUTO_TRY(maps.pin(bpf_map__fd(of.events), "events"));
+  XAUTO_TRY(maps.pin(bpf_map__fd(of.pipe), "pipe"));
+  XAUTO_TRY(maps.pin(bpf_map__fd(of.hist), "hist"));
+  XAUTO_TRY(maps.pin(bpf_map__fd(of.cpus), "cpus"));
+  return maps.pin(bpf_map__fd(of.losses), "losses");
+}
+
+Result<Tracer> Tracer::attach(const RunMaps& maps, const TracerOptions& options) {
+  Tracer tracer;
+  tracer.attached_ = std::make_unique<Attached>();
+  const LibbpfMessages messages;
+  std::error_code ignored;
+  XAUTO_TRY(std::filesystem::exists("/sys/kernel/btf/vmlinux", ignored)
+                ? tracer.attached_->load(xauto_trace::open(), maps, options)
+                : tracer.attached_->load(xauto_trace_tp::open(), maps, options));
   return tracer;
 }
 

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <fcntl.h>
+#include <kselftest.h>
 #include <linux/udmabuf.h>
 #include <signal.h>
 #include <sys/ioctl.h>
@@ -16,8 +17,6 @@
 #include <unistd.h>
 
 #include "transport/shm_topic.h"
-
-#include "../ktap.h"
 
 namespace {
 
@@ -40,14 +39,14 @@ Exported export_pages(const UniqueFd& device) {
   Exported made;
   const UniqueFd memory(memfd_create("pages", MFD_CLOEXEC | MFD_ALLOW_SEALING));
   if (ftruncate(memory.get(), kBytes) != 0 || fcntl(memory.get(), F_ADD_SEALS, F_SEAL_SHRINK) != 0)
-    ktap_bail("no memfd");
+    ksft_exit_fail_msg("no memfd\n");
   udmabuf_create wanted{};
   wanted.memfd = static_cast<__u32>(memory.get());
   wanted.flags = UDMABUF_FLAGS_CLOEXEC;
   wanted.size = kBytes;
   made.dmabuf = UniqueFd(ioctl(device.get(), UDMABUF_CREATE, &wanted));
   void* at = mmap(nullptr, kBytes, PROT_READ | PROT_WRITE, MAP_SHARED, memory.get(), 0);
-  if (!made.dmabuf || at == MAP_FAILED) ktap_bail("no dmabuf");
+  if (!made.dmabuf || at == MAP_FAILED) ksft_exit_fail_msg("no dmabuf\n");
   made.pages = static_cast<std::uint64_t*>(at);
   return made;
 }
@@ -68,7 +67,8 @@ std::uint64_t last_word(const Buffer& buffer) {
 void alone(const UniqueFd& device) {
   const Exported made = export_pages(device);
   const auto buffer = Buffer::adopt(made.dmabuf.get());
-  ktap_test(buffer && buffer->is_dmabuf() && buffer->size() == kBytes, "a dmabuf is adopted");
+  ksft_test_result(buffer && buffer->is_dmabuf() && buffer->size() == kBytes,
+                   "a dmabuf is adopted\n");
   if (!buffer) return;
   {
     const auto to = buffer->write();
@@ -76,9 +76,9 @@ void alone(const UniqueFd& device) {
   }
   bool all = true;
   for (std::size_t i = 0; i < kBytes / 8; ++i) all = all && made.pages[i] == 0x5a5a5a5a5a5a5a5a;
-  ktap_test(all, "what is written is in its pages");
+  ksft_test_result(all, "what is written is in its pages\n");
   made.pages[kBytes / 8 - 1] = 77;
-  ktap_test(last_word(*buffer) == 77, "and what is in its pages is read");
+  ksft_test_result(last_word(*buffer) == 77, "and what is in its pages is read\n");
 }
 
 /// Ends this process, a reader's: 0 when each frame is the exporter's memory and can be read, not written. One
@@ -111,7 +111,7 @@ void between_processes(const UniqueFd& device) {
   const auto pool = BufferPool::of({*Buffer::adopt(made.dmabuf.get())});
   detail::TopicSpec spec = *detail::topic_spec(Topic<Frame>("frames"));
   const auto link = transport::make_link({transport::chunk_bytes_of(spec), 1, 4, 4, true});
-  if (!pool || !link) ktap_bail("no topic");
+  if (!pool || !link) ksft_exit_fail_msg("no topic\n");
   const auto there = transport::join_link(*(*link)->invite(0));
   const auto publisher = (*link)->publisher(spec, nullptr);
   const auto publish = [&](std::uint64_t number) {
@@ -135,11 +135,11 @@ void between_processes(const UniqueFd& device) {
   bool all = true;
   for (std::uint64_t number = 0; number < 100; ++number) all = all && publish(number);
   waitpid(child, &status, 0);
-  ktap_test(all && status == 0, "another process reads 100 frames in the one dmabuf");
+  ksft_test_result(all && status == 0, "another process reads 100 frames in the one dmabuf\n");
 
   (*link)->release_all(0);
   int told[2];
-  if (pipe2(told, O_CLOEXEC) != 0) ktap_bail("no pipe");
+  if (pipe2(told, O_CLOEXEC) != 0) ksft_exit_fail_msg("no pipe\n");
   child = fork();
   if (child == 0) read_frames(**there, spec, memory, 1, told[1]);
   close(told[1]);
@@ -147,23 +147,25 @@ void between_processes(const UniqueFd& device) {
   char byte = 0;
   all = read(told[0], &byte, 1) == 1 && all;  // 0: it died before
   close(told[0]);
-  ktap_test(all && !pool->acquire(), "who keeps a frame keeps the dmabuf");
+  ksft_test_result(all && !pool->acquire(), "who keeps a frame keeps the dmabuf\n");
   kill(child, SIGKILL);
   waitpid(child, &status, 0);
   (*link)->release_all(0);  // as the hub does
-  ktap_test(pool->acquire().has_value(), "and has it no more when it is dead");
+  ksft_test_result(pool->acquire().has_value(), "and has it no more when it is dead\n");
 }
 
 }  // namespace
 
 int main() {
   const UniqueFd device(open("/dev/udmabuf", O_RDWR | O_CLOEXEC));
-  ktap_plan(device ? 6 : 1);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(device ? 6 : 1);
   if (!device) {
-    ktap_skip("buffers of dmabufs", "this kernel has no /dev/udmabuf");
-    return ktap_exit();
+    ksft_test_result_skip("buffers of dmabufs: this kernel has no /dev/udmabuf\n");
+    ksft_finished();
   }
   alone(device);
   between_processes(device);
-  return ktap_exit();
+  ksft_finished();
 }

@@ -21,6 +21,7 @@
 #include <vector>
 
 #include <fcntl.h>
+#include <kselftest.h>
 #include <linux/genetlink.h>
 #include <linux/netlink.h>
 #include <poll.h>
@@ -36,8 +37,6 @@
 #include <uapi/xauto/nvdla.h>
 #include <uapi/xauto/nvgpu.h>
 #include <unistd.h>
-
-#include "../ktap.h"
 
 namespace {
 
@@ -884,7 +883,7 @@ struct Field {
     const bool privileged = seed % 3 != 0;
     ++(victim ? victim_lives : lives);
     pid = fork();
-    if (pid < 0) ktap_bail("no more processes");
+    if (pid < 0) ksft_exit_fail_msg("no more processes\n");
     if (pid == 0) {
       random_source.seed(seed);
       victim ? live(number) : attack(seed, privileged, tsg, dla);
@@ -924,7 +923,9 @@ int main() {
   const auto operations = static_cast<long>(number_of("XAUTO_ATTACK", 2000));
   const std::uint64_t seed = number_of("XAUTO_SEED", 16);
   const long unloads = 2 + operations / 5000;
-  ktap_plan(9);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(9);
   random_source.seed(seed);
   shared = static_cast<Shared*>(
       mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
@@ -932,7 +933,7 @@ int main() {
   int channel = open_channel(0);
   Field field{.tsg = open_tsg(), .dla = open_dla(0)};
   if (field.dla < 0 || ioctl(field.tsg, NVGPU_TSG_IOCTL_BIND_CHANNEL, &channel) != 0)
-    ktap_bail("no emulators");
+    ksft_exit_fail_msg("no emulators\n");
   const auto start = std::chrono::steady_clock::now();
   while (shared->done < operations) {
     field.keep_victims();
@@ -953,34 +954,36 @@ int main() {
   const long seconds =
       std::chrono::duration_cast<std::chrono::seconds>(std::chrono::steady_clock::now() - start)
           .count();
-  ktap_note(
+  ksft_print_msg(
       "seed %llu: %ld operations in %ld s, %ld granted, %ld suspensions; %ld attackers, %ld "
-      "apps, %ld unloads, %ld faults",
+      "apps, %ld unloads, %ld faults\n",
       static_cast<unsigned long long>(seed), shared->done.load(), seconds, shared->granted.load(),
       shared->suspends.load(), field.lives, field.victim_lives, field.unloads, field.faults);
   int never = 0;
   for (const auto& times : shared->kinds) never += times == 0;
-  ktap_test(never == 0 && shared->suspends > operations / 50 && field.lives > kAttackers,
-            "every kind of operation was made (%d were not), queues suspended and attackers killed",
-            never);
-  ktap_test(shared->wrong == 0, "nothing forbidden succeeded (%ld did; first: %s)",
-            shared->wrong.load(), shared->wrong != 0 ? shared->first_wrong : "none");
-  ktap_test(shared->silent == 0 && field.failed_unloads == 0,
-            "every message was answered (%ld were not), every unload done (%ld were not)",
-            shared->silent.load(), field.failed_unloads);
+  ksft_test_result(
+      never == 0 && shared->suspends > operations / 50 && field.lives > kAttackers,
+      "every kind of operation was made (%d were not), queues suspended and attackers killed\n",
+      never);
+  ksft_test_result(shared->wrong == 0, "nothing forbidden succeeded (%ld did; first: %s)\n",
+                   shared->wrong.load(), shared->wrong != 0 ? shared->first_wrong : "none");
+  ksft_test_result(shared->silent == 0 && field.failed_unloads == 0,
+                   "every message was answered (%ld were not), every unload done (%ld were not)\n",
+                   shared->silent.load(), field.failed_unloads);
 
   // The apps live on. Nobody has asked the module anything since.
-  ktap_test(eventually([] {
-              return count(gpu_state(), "enabled=0") == 0 &&
-                     count(dla_state(0), "suspended=1") + count(dla_state(0), "stale=1") == 0;
-            }),
-            "no TSG and no queue of DLA 0 is suspended");
-  ktap_test(eventually([] {
-              const std::string state = gpu_state();
-              return count(state, "level=0") == count(state, "tsg=") &&
-                     count(state, "timeslice_us=1024 ") == count(state, "tsg=");
-            }),
-            "time slices and interleave levels are the driver's");
+  ksft_test_result(eventually([] {
+                     return count(gpu_state(), "enabled=0") == 0 &&
+                            count(dla_state(0), "suspended=1") + count(dla_state(0), "stale=1") ==
+                                0;
+                   }),
+                   "no TSG and no queue of DLA 0 is suspended\n");
+  ksft_test_result(eventually([] {
+                     const std::string state = gpu_state();
+                     return count(state, "level=0") == count(state, "tsg=") &&
+                            count(state, "timeslice_us=1024 ") == count(state, "tsg=");
+                   }),
+                   "time slices and interleave levels are the driver's\n");
   // A slot that was released while it was suspended is, for whoever gets it: registering ends that.
   shared->calm = true;
   const bool calm = eventually([&] {
@@ -997,27 +1000,27 @@ int main() {
       return taken;
     });
   }
-  ktap_test(
+  ksft_test_result(
       calm && registered && eventually([] { return count(dla_state(1), "suspended=1") == 0; }),
-      "nor a queue of DLA 1 that somebody registers");
+      "nor a queue of DLA 1 that somebody registers\n");
   line.hang_up();
-  ktap_test(work(channel, 1000) && task(field.dla, 1000) && idle(channel, 60000) &&
-                idle(field.dla, 60000),
-            "what was attacked most works");
+  ksft_test_result(work(channel, 1000) && task(field.dla, 1000) && idle(channel, 60000) &&
+                       idle(field.dla, 60000),
+                   "what was attacked most works\n");
 
   for (pid_t& pid : field.victims) Field::end(pid);
   for (const int fd : {channel, field.tsg, field.dla}) close(fd);
-  ktap_test(eventually([] {
-              return count(gpu_state(), "tsg=") == 0 && count(dla_state(0), "queue=") == 0 &&
-                     count(dla_state(1), "queue=") == 0;
-            }),
-            "once all are gone no driver has a queue");
-  ktap_test(eventually([] {
-              Line dump;
-              const bool empty = dump.open() && dump.list() == 0 && dump.listed == 0;
-              dump.hang_up();
-              return empty;
-            }),
-            "and the module none");
-  return ktap_exit();
+  ksft_test_result(eventually([] {
+                     return count(gpu_state(), "tsg=") == 0 && count(dla_state(0), "queue=") == 0 &&
+                            count(dla_state(1), "queue=") == 0;
+                   }),
+                   "once all are gone no driver has a queue\n");
+  ksft_test_result(eventually([] {
+                     Line dump;
+                     const bool empty = dump.open() && dump.list() == 0 && dump.listed == 0;
+                     dump.hang_up();
+                     return empty;
+                   }),
+                   "and the module none\n");
+  ksft_finished();
 }

@@ -19,7 +19,7 @@ decltype(&xauto::xpu::make_kernel_queue) make_backend;
 
 std::unique_ptr<Backend> gpu(xauto::ContextCounts& counts) {
   auto backend = make_backend({"gpu0", XPU::GPU, 0});
-  if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
+  if (!backend) ksft_exit_fail_msg("%s\n", backend.error().to_string().c_str());
   (*backend)->count_in(counts);
   return std::move(*backend);
 }
@@ -84,22 +84,25 @@ void made_before() {
     late.open(1);
     return second;
   });
-  ktap_test(returned == second && init(*backend, second).has_value() &&
-                init(*backend, third).has_value() && counts.assumed == 0,
-            "contexts of make_context() are known");
-  ktap_test(suspended_with(*backend, second) == 2 && suspended_with(*backend, third) == 1,
-            "each is suspended with what it has opened, though one was made within the other");
-  ktap_test(init(*backend, primary).has_value() && counts.assumed == 1 && says(counts, "assumed"),
-            "a context from before gets what is nobody's, and that is told");
-  ktap_test(suspended_with(*backend, primary) == 2, "and is suspended whole");
-  ktap_test(init(*backend, primary).has_value() && counts.assumed == 1,
-            "a second stage on it is told nothing new");
+  ksft_test_result(returned == second && init(*backend, second).has_value() &&
+                       init(*backend, third).has_value() && counts.assumed == 0,
+                   "contexts of make_context() are known\n");
+  ksft_test_result(
+      suspended_with(*backend, second) == 2 && suspended_with(*backend, third) == 1,
+      "each is suspended with what it has opened, though one was made within the other\n");
+  ksft_test_result(
+      init(*backend, primary).has_value() && counts.assumed == 1 && says(counts, "assumed"),
+      "a context from before gets what is nobody's, and that is told\n");
+  ksft_test_result(suspended_with(*backend, primary) == 2, "and is suspended whole\n");
+  ksft_test_result(init(*backend, primary).has_value() && counts.assumed == 1,
+                   "a second stage on it is told nothing new\n");
 
   xauto::ContextCounts others;
   const auto neighbour = gpu(others);
-  ktap_test(init(*neighbour, primary).has_value() && suspended_with(*neighbour, primary) == -1 &&
-                suspended_with(*backend, primary) == -1 && others.shared == 1 && counts.shared == 1,
-            "one context of two modules is not suspended: both would wait");
+  ksft_test_result(
+      init(*neighbour, primary).has_value() && suspended_with(*neighbour, primary) == -1 &&
+          suspended_with(*backend, primary) == -1 && others.shared == 1 && counts.shared == 1,
+      "one context of two modules is not suspended: both would wait\n");
 
   // It is closed, and another opened, as cudaDeviceReset does.
   Tsg again;
@@ -107,21 +110,23 @@ void made_before() {
   compute.close();
   copies.close();
   const SchedHandle renewed = SchedHandle::cuda_context(&later);
-  ktap_test(init(*backend, renewed).has_value() && suspended_with(*backend, renewed) == 1 &&
-                counts.assumed == 2,
-            "closed and made anew it gets what is nobody's then");
+  ksft_test_result(init(*backend, renewed).has_value() && suspended_with(*backend, renewed) == 1 &&
+                       counts.assumed == 2,
+                   "closed and made anew it gets what is nobody's then\n");
 
   const xauto::Status refused = init(*backend, SchedHandle::cuda_context(&counts));
-  ktap_test(!refused && guest::has(refused.error().to_string(), "and so was that of another") &&
-                guest::has(refused.error().to_string(), "make_context"),
-            "a second context from before is refused, and the error says how it is done");
-  ktap_test(suspended_with(*backend, renewed) == -1 && suspended_with(*backend, second) == 2,
-            "the first may have the second's: it is not suspended any more, the others are");
-  ktap_test(!init(*backend, renewed).has_value(), "and no later `init` gets it");
+  ksft_test_result(!refused &&
+                       guest::has(refused.error().to_string(), "and so was that of another") &&
+                       guest::has(refused.error().to_string(), "make_context"),
+                   "a second context from before is refused, and the error says how it is done\n");
+  ksft_test_result(
+      suspended_with(*backend, renewed) == -1 && suspended_with(*backend, second) == 2,
+      "the first may have the second's: it is not suspended any more, the others are\n");
+  ksft_test_result(!init(*backend, renewed).has_value(), "and no later `init` gets it\n");
   counts.unclaimed = 0;
   backend->admitted(second, true);
   backend->finishing(second, true);
-  ktap_test(counts.unclaimed == 1, "what it had is nobody's now, and counted");
+  ksft_test_result(counts.unclaimed == 1, "what it had is nobody's now, and counted\n");
 }
 
 /// The library's context is there, too; nobody asks for it.
@@ -140,14 +145,14 @@ void beside() {
     backend->finishing(handle, true);
     return made;
   });
-  ktap_test(attached && suspended_with(*backend, handle) == 1,
-            "what is made while a stage ends is not taken for the stage's");
+  ksft_test_result(attached && suspended_with(*backend, handle) == 1,
+                   "what is made while a stage ends is not taken for the stage's\n");
   backend->admitted(handle, true);
   backend->finishing(handle, true);
-  ktap_test(counts.unclaimed == 1 && counts.assumed == 0,
-            "a context that no `init` returns is counted, once");
-  ktap_test(init(*backend, made).has_value() && suspended_with(*backend, made) == 1,
-            "and what was made meanwhile is suspended with its own handle");
+  ksft_test_result(counts.unclaimed == 1 && counts.assumed == 0,
+                   "a context that no `init` returns is counted, once\n");
+  ksft_test_result(init(*backend, made).has_value() && suspended_with(*backend, made) == 1,
+                   "and what was made meanwhile is suspended with its own handle\n");
 }
 
 /// The first job opens what the context needs for copies; nobody tells the runtime.
@@ -159,22 +164,22 @@ void opened_late() {
   const SchedHandle other = SchedHandle::cuda_context(&neighbour);
   Tsg compute, theirs;
   const bool attached = init(*backend, handle, [&] { compute.open(); }).has_value();
-  ktap_test(attached && init(*backend, other, [&] { theirs.open(); }).has_value() &&
-                counts.incomplete == 2,
-            "contexts are not complete before each has run once");
+  ksft_test_result(attached && init(*backend, other, [&] { theirs.open(); }).has_value() &&
+                       counts.incomplete == 2,
+                   "contexts are not complete before each has run once\n");
   (void)backend->preempt(handle);
   (void)backend->restore(handle);
-  ktap_test(counts.partial == 0, "a suspension before that has left nothing out yet");
+  ksft_test_result(counts.partial == 0, "a suspension before that has left nothing out yet\n");
 
   backend->admitted(handle, true);
   const raw::UniqueFd copies = raw::tsg(), copier = raw::channel(1);
   (void)raw::bind(copies, copier);
   backend->finishing(handle, true);
-  ktap_test(backend->preempt(handle).has_value() && guest::suspended() == 2,
-            "what the first job opened is suspended with its context");
-  ktap_test(backend->restore(handle).has_value() && guest::suspended() == 0 &&
-                counts.incomplete == 1 && counts.partial == 1 && counts.unclaimed == 0,
-            "and resumed; the context is complete, the suspension before that is counted");
+  ksft_test_result(backend->preempt(handle).has_value() && guest::suspended() == 2,
+                   "what the first job opened is suspended with its context\n");
+  ksft_test_result(backend->restore(handle).has_value() && guest::suspended() == 0 &&
+                       counts.incomplete == 1 && counts.partial == 1 && counts.unclaimed == 0,
+                   "and resumed; the context is complete, the suspension before that is counted\n");
 
   // While it is suspended: its execution thread may be anywhere.
   backend->admitted(other, true);
@@ -182,16 +187,17 @@ void opened_late() {
   const raw::UniqueFd more = raw::tsg(), copier_too = raw::channel(1);
   (void)raw::bind(more, copier_too);
   backend->finishing(other, true);
-  ktap_test(guest::suspended() == 2, "what a suspended context opens is suspended at once");
+  ksft_test_result(guest::suspended() == 2,
+                   "what a suspended context opens is suspended at once\n");
   (void)backend->restore(other);
-  ktap_test(guest::suspended() == 0 && counts.incomplete == 0, "and resumed");
+  ksft_test_result(guest::suspended() == 0 && counts.incomplete == 0, "and resumed\n");
 
   backend->admitted(handle, true);
   backend->admitted(other, true);
   const raw::UniqueFd whose = raw::tsg();
   backend->finishing(handle, true);
   backend->finishing(other, true);
-  ktap_test(counts.unclaimed == 1, "what appears while two run is nobody's, and counted");
+  ksft_test_result(counts.unclaimed == 1, "what appears while two run is nobody's, and counted\n");
 
   // The first preempts the second in its first run, when that has opened what it needs.
   int third = 0;
@@ -203,17 +209,17 @@ void opened_late() {
   backend->admitted(held, true);
   Tsg early;
   early.open();
-  ktap_test(suspended_with(*backend, held) == 2,
-            "a first run is suspended with what it has opened");
+  ksft_test_result(suspended_with(*backend, held) == 2,
+                   "a first run is suspended with what it has opened\n");
   grown.open(1);
   for (int i = 0; i < 2; ++i) {
     backend->admitted(handle, false);
     backend->finishing(handle, false);
   }
   backend->finishing(held, true);
-  ktap_test(made && counts.unclaimed == unclaimed + 1 && counts.partial == partial + 1 &&
-                suspended_with(*backend, held) == 3,
-            "a first run that is preempted keeps what it opened before");
+  ksft_test_result(made && counts.unclaimed == unclaimed + 1 && counts.partial == partial + 1 &&
+                       suspended_with(*backend, held) == 3,
+                   "a first run that is preempted keeps what it opened before\n");
 
   // A complete context is looked at every 250 ms: until then nobody knows what it has opened.
   const auto run_one = [&](bool opens) {
@@ -226,9 +232,10 @@ void opened_late() {
   };
   const unsigned before = counts.partial;
   run_one(false);
-  ktap_test(counts.partial == before, "a suspension that left nothing out is not");
+  ksft_test_result(counts.partial == before, "a suspension that left nothing out is not\n");
   run_one(true);
-  ktap_test(counts.partial == before + 1, "one that came after its stage had opened more is");
+  ksft_test_result(counts.partial == before + 1,
+                   "one that came after its stage had opened more is\n");
 }
 
 /// A library may close a TSG's descriptor: its channels keep the TSG, and nothing suspends it.
@@ -255,16 +262,18 @@ void behind_no_descriptor() {
     run_one();
     guest::sleep_ms(2100);
     run_one();
-    ktap_test(attached && counts.unclaimed == 0,
-              "while somebody else has the sched node, the descriptors are all that is known");
+    ksft_test_result(
+        attached && counts.unclaimed == 0,
+        "while somebody else has the sched node, the descriptors are all that is known\n");
   }
   run_one();
-  ktap_test(counts.unclaimed == 0, "what is behind no descriptor may have been closed just now");
+  ksft_test_result(counts.unclaimed == 0,
+                   "what is behind no descriptor may have been closed just now\n");
   guest::sleep_ms(2100);
   run_one();
   run_one();
-  ktap_test(counts.unclaimed == 2 && says(counts, "they are not suspended"),
-            "2 s later it is counted as nobody's, once");
+  ksft_test_result(counts.unclaimed == 2 && says(counts, "they are not suspended"),
+                   "2 s later it is counted as nobody's, once\n");
   {
     const raw::UniqueFd theirs = raw::sched();
     run_one();
@@ -272,19 +281,20 @@ void behind_no_descriptor() {
   run_one();
   guest::sleep_ms(2100);
   run_one();
-  ktap_test(counts.unclaimed == 2, "and not again when nvgpu has not said it for a moment");
+  ksft_test_result(counts.unclaimed == 2,
+                   "and not again when nvgpu has not said it for a moment\n");
   hidden.close();
   hidden_too.close();
   run_one();
-  ktap_test(counts.unclaimed == 2 && suspended_with(*backend, handle) == 1,
-            "the context itself is suspended as before");
+  ksft_test_result(counts.unclaimed == 2 && suspended_with(*backend, handle) == 1,
+                   "the context itself is suspended as before\n");
 }
 
 /// nvdla's node is opened once, whatever cuDLA makes of it.
 void one_dla_queue() {
   xauto::ContextCounts counts;
   auto backend = make_backend({"dla0", XPU::DLA, 0});
-  if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
+  if (!backend) ksft_exit_fail_msg("%s\n", backend.error().to_string().c_str());
   (*backend)->count_in(counts);
   int first = 0, second = 0;
   raw::UniqueFd queue;
@@ -294,12 +304,12 @@ void one_dla_queue() {
   };
   const SchedHandle one = SchedHandle::cudla_device(&first);
   const SchedHandle two = SchedHandle::cudla_device(&second);
-  ktap_test(init(**backend, one, open).has_value() && suspended_with(**backend, one) == 1,
-            "a cuDLA handle is suspended");
-  ktap_test(init(**backend, two).has_value(), "a second one of the process is registered");
-  ktap_test(!(*backend)->preempt(two) && !(*backend)->preempt(one) && guest::suspended() == 0 &&
-                counts.shared == 2,
-            "neither is suspended then, for that would hold up the other");
+  ksft_test_result(init(**backend, one, open).has_value() && suspended_with(**backend, one) == 1,
+                   "a cuDLA handle is suspended\n");
+  ksft_test_result(init(**backend, two).has_value(), "a second one of the process is registered\n");
+  ksft_test_result(!(*backend)->preempt(two) && !(*backend)->preempt(one) &&
+                       guest::suspended() == 0 && counts.shared == 2,
+                   "neither is suspended then, for that would hold up the other\n");
 }
 
 /// Whoever feeds it was away for longer than the watchdog allows.
@@ -310,16 +320,17 @@ void starved() {
   int context = 0;
   const SchedHandle handle = SchedHandle::cuda_context(&context);
   Tsg compute;
-  ktap_test(init(*backend, handle, [&] { compute.open(); }).has_value() &&
-                backend->preempt(handle).has_value() && guest::suspended() == 1 &&
-                guest::eventually([] { return guest::suspended() == 0; }),
-            "what was suspended runs when its watchdog has bitten");
+  ksft_test_result(init(*backend, handle, [&] { compute.open(); }).has_value() &&
+                       backend->preempt(handle).has_value() && guest::suspended() == 1 &&
+                       guest::eventually([] { return guest::suspended() == 0; }),
+                   "what was suspended runs when its watchdog has bitten\n");
   const auto fed = backend->still_wanted();
-  ktap_test(!fed && fed.error().code == xauto::ErrorCode::kTimeout && guest::suspended() == 1,
-            "who feeds it then is told so, and suspends it again");
-  ktap_test(backend->still_wanted().has_value() && backend->restore(handle).has_value() &&
-                guest::suspended() == 0,
-            "once");
+  ksft_test_result(
+      !fed && fed.error().code == xauto::ErrorCode::kTimeout && guest::suspended() == 1,
+      "who feeds it then is told so, and suspends it again\n");
+  ksft_test_result(backend->still_wanted().has_value() && backend->restore(handle).has_value() &&
+                       guest::suspended() == 0,
+                   "once\n");
 }
 
 /// Two TSGs, told through one call or through several.
@@ -333,22 +344,25 @@ void whole() {
     compute.open();
     copies.open(1);
   };
-  ktap_test(init(*backend, handle, open).has_value() && backend->preempt(handle).has_value() &&
-                guest::suspended() == 2,
-            "a context of two TSGs is suspended whole");
+  ksft_test_result(init(*backend, handle, open).has_value() &&
+                       backend->preempt(handle).has_value() && guest::suspended() == 2,
+                   "a context of two TSGs is suspended whole\n");
   (void)raw::call(compute.tsg.get(), NVGPU_IOCTL_TSG_ENABLE);
   const bool enabled = guest::suspended() < 2;
-  ktap_test(guest::eventually(
-                [&] { return backend->still_wanted().has_value() && guest::suspended() == 2; }),
-            "what the driver enables meanwhile%s is suspended again", enabled ? "" : " (too late)");
-  ktap_test(backend->restore(handle).has_value() && guest::suspended() == 0, "and resumed");
+  ksft_test_result(guest::eventually([&] {
+                     return backend->still_wanted().has_value() && guest::suspended() == 2;
+                   }),
+                   "what the driver enables meanwhile%s is suspended again\n",
+                   enabled ? "" : " (too late)");
+  ksft_test_result(backend->restore(handle).has_value() && guest::suspended() == 0,
+                   "and resumed\n");
   raw::gpu_parameter("yield_us", "300000");
   (void)raw::work(copies.channel, 60000);
   (void)guest::eventually([] { return guest::has(guest::gpu_state(), "current=1"); });
   const auto refused = backend->preempt(handle);
-  ktap_test(!refused && refused.error().code == xauto::ErrorCode::kTimeout,
-            "one that does not leave is an error");
-  ktap_test(guest::suspended() == 0, "and all of the context runs");
+  ksft_test_result(!refused && refused.error().code == xauto::ErrorCode::kTimeout,
+                   "one that does not leave is an error\n");
+  ksft_test_result(guest::suspended() == 0, "and all of the context runs\n");
   raw::gpu_parameter("yield_us", "0");
 }
 
@@ -357,9 +371,11 @@ void whole() {
 int main() {
   const std::pair<const char*, decltype(make_backend)> ways[] = {
       {"xauto.ko", xauto::xpu::make_kernel_queue}, {"own", xauto::xpu::make_own_queue}};
-  ktap_plan(79);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(79);
   for (const auto& [name, make] : ways) {
-    ktap_note("%s", name);
+    ksft_print_msg("%s\n", name);
     make_backend = make;
     for (const auto part :
          {made_before, beside, opened_late, behind_no_descriptor, one_dla_queue, whole}) {
@@ -368,5 +384,5 @@ int main() {
     }
   }
   starved();
-  return ktap_exit();
+  ksft_finished();
 }

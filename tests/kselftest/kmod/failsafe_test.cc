@@ -6,6 +6,7 @@
 #include <csignal>
 #include <random>
 
+#include <kselftest.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -13,7 +14,6 @@
 #include "kernel/queue_control.h"
 #include "kernel/queue_files.h"
 
-#include "../ktap.h"
 #include "guest.h"
 
 using xauto::emu::DriverQueue;
@@ -98,18 +98,18 @@ void one_life(const DriverQueue& tsg, const DriverQueue& dla, Manner manner) {
 void many(const char* what, Manner manner, int times) {
   auto tsg = DriverQueue::open_gpu();
   auto dla = DriverQueue::open_dla(0);
-  if (!tsg || !dla) ktap_bail("no emulators");
+  if (!tsg || !dla) ksft_exit_fail_msg("no emulators\n");
   stuck = lives = refused = 0;
   for (int i = 0; i < times; ++i) one_life(*tsg, *dla, manner);
-  ktap_test(stuck == 0 && refused == 0 && lives == times,
-            "%s: %d times, %d left something suspended, %d failed to start", what, lives, stuck,
-            refused);
+  ksft_test_result(stuck == 0 && refused == 0 && lives == times,
+                   "%s: %d times, %d left something suspended, %d failed to start\n", what, lives,
+                   stuck, refused);
 }
 
 void unloading(int times) {
   auto tsg = DriverQueue::open_gpu();
   auto dla = DriverQueue::open_dla(0);
-  if (!tsg || !dla) ktap_bail("no emulators");
+  if (!tsg || !dla) ksft_exit_fail_msg("no emulators\n");
   int bad = 0;
   for (int i = 0; i < times; ++i) {
     const pid_t child = fork();
@@ -121,8 +121,8 @@ void unloading(int times) {
     kill(child, SIGKILL);
     waitpid(child, nullptr, 0);
   }
-  ktap_test(bad == 0, "unloading the module under a coordinator at work: %d times, %d bad", times,
-            bad);
+  ksft_test_result(bad == 0, "unloading the module under a coordinator at work: %d times, %d bad\n",
+                   times, bad);
 }
 
 void app_dies(int times) {
@@ -143,8 +143,8 @@ void app_dies(int times) {
     waitpid(app, nullptr, 0);
     bad += !guest::eventually([] { return guest::count(guest::gpu_state(), "tsg=") == 0; });
   }
-  ktap_test(bad == 0, "an app killed with its own TSG suspended: %d times, %d TSGs left", times,
-            bad);
+  ksft_test_result(bad == 0, "an app killed with its own TSG suspended: %d times, %d TSGs left\n",
+                   times, bad);
 }
 
 }  // namespace
@@ -153,12 +153,14 @@ int main() {
   const char* scale = getenv("XAUTO_KILLS");
   const int kills = scale != nullptr ? atoi(scale) : 200;
   const char* unloads = getenv("XAUTO_UNLOADS");
-  ktap_plan(6);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(6);
   many("coordinator killed", Manner::kKill, kills);
   many("socket closed by exit", Manner::kClose, 30);
   many("watchdog starved", Manner::kStarve, 10);
   many("owner dead, socket inherited", Manner::kOwnerDies, 5);
   app_dies(30);
   unloading(unloads != nullptr ? atoi(unloads) : 6);
-  return ktap_exit();
+  ksft_finished();
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <fcntl.h>
+#include <kselftest.h>
 #include <linux/genetlink.h>
 #include <linux/netlink.h>
 #include <sys/ioctl.h>
@@ -20,7 +21,6 @@
 #include "emu/driver_queue.h"
 #include "kernel/queue_control.h"
 
-#include "../ktap.h"
 #include "guest.h"
 
 using xauto::emu::DriverQueue;
@@ -223,7 +223,7 @@ void read_answers(int fd, Tally& tally) {
 void netlink(int messages) {
   auto control = QueueControl::open();
   auto tsg = DriverQueue::open_gpu();
-  if (!control || !tsg) ktap_bail("no module");
+  if (!control || !tsg) ksft_exit_fail_msg("no module\n");
   const int yes = 1;
   for (const int option : {NETLINK_EXT_ACK, NETLINK_CAP_ACK})
     setsockopt(control->descriptor(), SOL_NETLINK, option, &yes, sizeof yes);
@@ -241,13 +241,14 @@ void netlink(int messages) {
     ++tally.sent;
     read_answers(control->descriptor(), tally);
   }
-  ktap_test(tally.sent > messages * 9 / 10 && tally.accepted > messages / 10,
-            "%ld netlink messages: %ld accepted, %ld refused, %ld of them by genetlink itself, %ld "
-            "unanswered",
-            tally.sent, tally.accepted, tally.refused, tally.not_ours, tally.silent);
-  ktap_test(tally.refused > messages / 4 && tally.without_text == 0,
-            "every refusal has a text (%ld have none; the first is errno %d)", tally.without_text,
-            tally.first_silent_errno);
+  ksft_test_result(
+      tally.sent > messages * 9 / 10 && tally.accepted > messages / 10,
+      "%ld netlink messages: %ld accepted, %ld refused, %ld of them by genetlink itself, %ld "
+      "unanswered\n",
+      tally.sent, tally.accepted, tally.refused, tally.not_ours, tally.silent);
+  ksft_test_result(tally.refused > messages / 4 && tally.without_text == 0,
+                   "every refusal has a text (%ld have none; the first is errno %d)\n",
+                   tally.without_text, tally.first_silent_errno);
 }
 
 void ioctls(int calls) {
@@ -307,8 +308,8 @@ void ioctls(int calls) {
     // What OPEN_TSG and OPEN_CHANNEL gave.
     for (int fd = ctrl + 1; fd < 512; ++fd) close(fd);
   }
-  ktap_test(done >= calls && accepted > calls / 20 && accepted < calls, "%d ioctls: %d accepted",
-            done, accepted);
+  ksft_test_result(done >= calls && accepted > calls / 20 && accepted < calls,
+                   "%d ioctls: %d accepted\n", done, accepted);
 }
 
 }  // namespace
@@ -319,11 +320,14 @@ int main() {
   const unsigned long start = seed != nullptr ? strtoul(seed, nullptr, 0) : 1;
   const int count = scale != nullptr ? atoi(scale) : 8000;
   random_source.seed(start);
-  ktap_plan(4);
-  ktap_note("seed %lu, %d netlink messages and as many ioctls (XAUTO_SEED, XAUTO_FUZZ)", start,
-            count);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(4);
+  ksft_print_msg("seed %lu, %d netlink messages and as many ioctls (XAUTO_SEED, XAUTO_FUZZ)\n",
+                 start, count);
   netlink(count);
   ioctls(count);
-  ktap_test(guest::eventually([] { return guest::suspended() == 0; }), "nothing is left suspended");
-  return ktap_exit();
+  ksft_test_result(guest::eventually([] { return guest::suspended() == 0; }),
+                   "nothing is left suspended\n");
+  ksft_finished();
 }

@@ -7,6 +7,7 @@
 #include <cstdint>
 
 #include <fcntl.h>
+#include <kselftest.h>
 #include <poll.h>
 #include <sys/ioctl.h>
 #include <uapi/xauto/emu.h>
@@ -16,7 +17,6 @@
 
 #include "base/unique_fd.h"
 
-#include "../ktap.h"
 #include "guest.h"
 
 namespace raw {
@@ -34,7 +34,7 @@ inline int call(int fd, unsigned long command) {
 
 inline UniqueFd node(const char* path) {
   UniqueFd fd(open(path, O_RDWR | O_CLOEXEC));
-  if (!fd) ktap_bail("cannot open %s", path);
+  if (!fd) ksft_exit_fail_msg("cannot open %s\n", path);
   return fd;
 }
 inline UniqueFd ctrl() {
@@ -48,14 +48,15 @@ inline UniqueFd tsg() {
   nvgpu_gpu_open_tsg_args args{};
   if (call(ctrl().get(), NVGPU_GPU_IOCTL_OPEN_TSG, &args) != 0 &&
       call(ctrl().get(), NVGPU_GPU_IOCTL_OPEN_TSG_R35, &args) != 0)
-    ktap_bail("no TSG");
+    ksft_exit_fail_msg("no TSG\n");
   return UniqueFd(static_cast<int>(args.tsg_fd));
 }
 /// @runlist 0: graphics and compute, 1: asynchronous copies.
 inline UniqueFd channel(int runlist = 0) {
   nvgpu_gpu_open_channel_args args{};
   args.in.runlist_id = runlist;
-  if (call(ctrl().get(), NVGPU_GPU_IOCTL_OPEN_CHANNEL, &args) != 0) ktap_bail("no channel");
+  if (call(ctrl().get(), NVGPU_GPU_IOCTL_OPEN_CHANNEL, &args) != 0)
+    ksft_exit_fail_msg("no channel\n");
   return UniqueFd(args.out.channel_fd);
 }
 inline int bind(const UniqueFd& tsg, const UniqueFd& channel) {

@@ -123,7 +123,9 @@ namespace {
 int main() {
   const char* seconds_text = getenv("XAUTO_TORTURE_S");
   const int seconds = seconds_text != nullptr ? atoi(seconds_text) : 5;
-  ktap_plan(3);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(3);
   std::mt19937_64 random(7);
   constexpr std::size_t kApps = 3, kOwners = 6;
   std::vector<pid_t> apps(kApps, 0), owners(kOwners, 0);
@@ -165,20 +167,21 @@ int main() {
   }
   for (const char* fault : {"fail_preempt", "fail_enable"}) guest::gpu_fault(fault, 0);
   for (const char* fault : {"fail_suspend", "fail_resume"}) guest::dla_fault(fault, 0);
-  ktap_note("%d s: %ld owners, %ld apps, %ld faults", seconds, owner_lives, app_lives, faults);
-  ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
-            "nothing is suspended once the owners are gone");
+  ksft_print_msg("%d s: %ld owners, %ld apps, %ld faults\n", seconds, owner_lives, app_lives,
+                 faults);
+  ksft_test_result(guest::eventually([] { return guest::suspended() == 0; }),
+                   "nothing is suspended once the owners are gone\n");
   for (const pid_t pid : apps) {
     kill(pid, SIGKILL);
     waitpid(pid, nullptr, 0);
   }
-  ktap_test(guest::eventually([] {
-              auto control = QueueControl::open();
-              auto list = control ? control->list() : decltype(control->list())();
-              return list && list->empty() && guest::count(guest::gpu_state(), "tsg=") == 0;
-            }),
-            "nothing is registered once the apps are gone");
-  ktap_test(owner_lives > static_cast<long>(kOwners) && faults > 0,
-            "owners died and drivers refused on the way");
-  return ktap_exit();
+  ksft_test_result(guest::eventually([] {
+                     auto control = QueueControl::open();
+                     auto list = control ? control->list() : decltype(control->list())();
+                     return list && list->empty() && guest::count(guest::gpu_state(), "tsg=") == 0;
+                   }),
+                   "nothing is registered once the apps are gone\n");
+  ksft_test_result(owner_lives > static_cast<long>(kOwners) && faults > 0,
+                   "owners died and drivers refused on the way\n");
+  ksft_finished();
 }

@@ -3,7 +3,7 @@
 # A policy of keys on real CPUs: who ends first in a periodic set at 85 % load, against a simulation in another language. KTAP.
 # usage: keys.sh SCHED SECONDS CPUS      SCHED: ext or fifo; needs xauto and periodic_cpu in PATH
 sched=$1 seconds=$2 cpus=$3
-here=$(dirname "$0")
+here=$(realpath "$(dirname "$0")")
 dir=$(mktemp -d)
 count=0 failed=0
 ok() { # NAME CONDITION...

@@ -77,17 +77,19 @@ void order_of_keys() {
     }
     if (same) continue;
     ++wrong;
-    ktap_note("round %llu:", static_cast<unsigned long long>(round));
+    ksft_print_msg("round %llu:\n", static_cast<unsigned long long>(round));
     for (std::size_t i = 0; i < due.size(); ++i)
-      ktap_note("  key %lld, asked %llu, slot %u: thread %d; was %d",
-                static_cast<long long>(due[i].key), static_cast<unsigned long long>(due[i].asked),
-                due[i].slot, due[i].who, order[i]);
+      ksft_print_msg("  key %lld, asked %llu, slot %u: thread %d; was %d\n",
+                     static_cast<long long>(due[i].key),
+                     static_cast<unsigned long long>(due[i].asked), due[i].slot, due[i].who,
+                     order[i]);
   }
   open = true;
-  ktap_test(wrong == 0 && stuck == 0 && ties > kRounds,
-            "keys told by the jobs, up to 2^61 apart, run in exact order in each of %d rounds, "
-            "%d ties by who asked first (%d wrong)",
-            kRounds, ties, wrong);
+  ksft_test_result(
+      wrong == 0 && stuck == 0 && ties > kRounds,
+      "keys told by the jobs, up to 2^61 apart, run in exact order in each of %d rounds, "
+      "%d ties by who asked first (%d wrong)\n",
+      kRounds, ties, wrong);
 }
 
 void smaller_key_takes() {
@@ -112,15 +114,16 @@ void smaller_key_takes() {
     wait_for([&] { return queued(world, equal.index()) && queued(world, larger.index()); });
     sleep_ms(100);  // many slices
     const std::uint64_t kicks = world.stat(XAUTO_BPF_STAT_KICKED) - kicked;
-    ktap_test(
+    ksft_test_result(
         kicks == 0 && equal.done() + larger.done() == 0,
         "an equal key and a larger one take no CPU from what runs, and kick nobody: ran %u and "
-        "%u times, %llu kicks",
+        "%u times, %llu kicks\n",
         equal.done(), larger.done(), static_cast<unsigned long long>(kicks));
     smaller.submit(3, 1, {999, 9});
     const bool ran = wait_for([&] { return smaller.done() == 1; }, 5);
-    ktap_test(ran && equal.done() == 0, "... a smaller one does: ran %u times, the equal one %u",
-              smaller.done(), equal.done());
+    ksft_test_result(ran && equal.done() == 0,
+                     "... a smaller one does: ran %u times, the equal one %u\n", smaller.done(),
+                     equal.done());
     stop = true;
     running.join();
     wait_for([&] { return equal.done() + larger.done() == 2; });
@@ -143,8 +146,9 @@ void keys_out_of_range() {
     waiter.submit(0, ++n, {5, 0});
     wait_for([&] { return waiter.done() == n; });
   }
-  ktap_test(bad == std::vector<std::uint64_t>({1, 1, 1}) && scx_state() == "enabled",
-            "jobs whose key nobody could put in order run as ordinary threads, each is counted");
+  ksft_test_result(
+      bad == std::vector<std::uint64_t>({1, 1, 1}) && scx_state() == "enabled",
+      "jobs whose key nobody could put in order run as ordinary threads, each is counted\n");
 }
 
 // Its place in the kernel's queues was a key, some hours of nanoseconds; the fair queue counts from
@@ -173,8 +177,9 @@ void out_of_the_slot() {
     stop = true;
   }
   other.join();
-  ktap_test(left_s > 0.5,
-            "a thread that leaves its slot has its share as an ordinary one: %.2f s of 2", left_s);
+  ksft_test_result(left_s > 0.5,
+                   "a thread that leaves its slot has its share as an ordinary one: %.2f s of 2\n",
+                   left_s);
 }
 
 const Test kTests[] = {
@@ -188,5 +193,5 @@ const Test kTests[] = {
 }  // namespace xauto::test
 
 int main(int argc, char** argv) {
-  return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
+  xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }

@@ -161,13 +161,15 @@ std::vector<Round> rounds_of(const Case& c) {
     held = other_waits = middle_runs = middle_stop = false;
     round = {};
     low ? low->wake() : ordinary->wake();
-    if (!wait_for([&] { return held.load(); })) ktap_bail("nobody holds the lock");
+    if (!wait_for([&] { return held.load(); })) ksft_exit_fail_msg("nobody holds the lock\n");
     if (c.chain || c.queue) {
       other.wake();
-      if (!wait_for([&] { return other_waits && blocked(other_tid); })) ktap_bail("nobody waits");
+      if (!wait_for([&] { return other_waits && blocked(other_tid); }))
+        ksft_exit_fail_msg("nobody waits\n");
     }
     middle.wake();
-    if (!wait_for([&] { return middle_runs.load(); })) ktap_bail("the one in between does not run");
+    if (!wait_for([&] { return middle_runs.load(); }))
+      ksft_exit_fail_msg("the one in between does not run\n");
     high.wake();
     const bool all = wait_for(
         [&] {
@@ -176,7 +178,7 @@ std::vector<Round> rounds_of(const Case& c) {
                  (!(c.chain || c.queue) || other.done() == i);
         },
         60);
-    if (!all) ktap_bail("a round did not end");
+    if (!all) ksft_exit_fail_msg("a round did not end\n");
     rounds.push_back(round);
     if (round.waited > 1) break;  // it is lost already
   }
@@ -257,19 +259,20 @@ void report(const Case& c, const char* what) {
     late += round.kept > 0.0005 ? 1 : 0;
   }
   const double own = c.waiter_cpu == kCpu ? noise_here() : noise_between();
-  ktap_note(
+  ksft_print_msg(
       "%zu rounds: waited %.1f ms (median), of it more than the section %.2f ms (worst %.2f); "
-      "the one in between had %.2f ms at worst; the machine's own %.2f ms",
+      "the one in between had %.2f ms at worst; the machine's own %.2f ms\n",
       rounds.size(), median(waited) * 1e3, median(more) * 1e3,
       *std::max_element(more.begin(), more.end()) * 1e3,
       *std::max_element(middle.begin(), middle.end()) * 1e3, own * 1e3);
-  ktap_test(rounds.size() == kRounds && median(middle) < 0.001 + own && median(more) < 0.001 + own,
-            "the most urgent waits for the section and 1 ms: %s", what);
+  ksft_test_result(
+      rounds.size() == kRounds && median(middle) < 0.001 + own && median(more) < 0.001 + own,
+      "the most urgent waits for the section and 1 ms: %s\n", what);
   if (c.waiter_cpu == kCpu)
-    ktap_test(
+    ksft_test_result(
         late <= 1 && kept < 0.01,  // two ticks and more
         "... and what was lent is given back with the lock: in %d rounds it ran on, by %.2f ms "
-        "at worst",
+        "at worst\n",
         late, kept * 1e3);
 }
 
@@ -305,5 +308,5 @@ const Test kTests[] = {
 }  // namespace xauto::test
 
 int main(int argc, char** argv) {
-  return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
+  xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }

@@ -77,13 +77,13 @@ void tables() {
     }
     stop = true;
   }
-  ktap_test(
+  ksft_test_result(
       mixed == 0 && jobs > 500 && seen > 100,
-      "at least %d tables under load: of %llu jobs, which went by %llu tables, %llu mixed two",
+      "at least %d tables under load: of %llu jobs, which went by %llu tables, %llu mixed two\n",
       g_tables, static_cast<unsigned long long>(jobs.load()),
       static_cast<unsigned long long>(seen.load()), static_cast<unsigned long long>(mixed.load()));
-  ktap_note("entries copied again because a replacement came between: %llu",
-            static_cast<unsigned long long>(world.stat(XAUTO_BPF_STAT_TORN)));
+  ksft_print_msg("entries copied again because a replacement came between: %llu\n",
+                 static_cast<unsigned long long>(world.stat(XAUTO_BPF_STAT_TORN)));
 }
 
 void killed_loader() {
@@ -140,17 +140,18 @@ void killed_loader() {
               5))
         ++stuck;
       if (i % 25 == 24)
-        ktap_note("%d kills, %d while enabled; not disabled %d, threads stuck %d", i + 1, enabled,
-                  not_disabled, stuck);
+        ksft_print_msg("%d kills, %d while enabled; not disabled %d, threads stuck %d\n", i + 1,
+                       enabled, not_disabled, stuck);
     }
     stop = true;
   }
-  ktap_test(not_disabled == 0 && stuck == 0 && enabled >= g_kills * 4 / 10,
-            "the loader killed at %d random moments (%d times while enabled): state disabled, all "
-            "threads go on (%d, %d times not)",
-            g_kills, enabled, not_disabled, stuck);
+  ksft_test_result(
+      not_disabled == 0 && stuck == 0 && enabled >= g_kills * 4 / 10,
+      "the loader killed at %d random moments (%d times while enabled): state disabled, all "
+      "threads go on (%d, %d times not)\n",
+      g_kills, enabled, not_disabled, stuck);
   world.load();
-  ktap_test(scx_state() == "enabled", "... and it loads again");
+  ksft_test_result(scx_state() == "enabled", "... and it loads again\n");
 }
 
 // ---- what is wrong: with what user space wrote we live, with what cannot be we end --------------
@@ -163,7 +164,8 @@ void wrong_slot() {
     const std::uint64_t key = std::uint64_t{kernel::own_pid_namespace().value()} << 32 |
                               static_cast<std::uint64_t>(gettid());
     const std::uint64_t nowhere[2] = {4711, static_cast<std::uint64_t>(now_ns())};
-    if (!kernel::set_element(world.maps.fd("threads"), &key, nowhere)) ktap_bail("entering");
+    if (!kernel::set_element(world.maps.fd("threads"), &key, nowhere))
+      ksft_exit_fail_msg("entering\n");
     while (!stop) {
       usleep(1000);
       ++rounds;
@@ -175,60 +177,61 @@ void wrong_slot() {
   const std::string state = scx_state();
   stop = true;
   stray.join();
-  ktap_test(ran && state == "enabled" && looks > 100,
-            "a thread with a slot that there is not is an ordinary one, and counted: %llu looks",
-            static_cast<unsigned long long>(looks));
+  ksft_test_result(
+      ran && state == "enabled" && looks > 100,
+      "a thread with a slot that there is not is an ordinary one, and counted: %llu looks\n",
+      static_cast<unsigned long long>(looks));
 }
 
 void impossible_maps() {
   World world(1, kCpu, 16), smaller(1, kCpu, 1);
   // Slots 1 to 15 have no job: the loader never makes such maps.
   unlink((kernel::RunMaps::folder(world.maps.run()) + "/jobs").c_str());
-  if (!world.maps.pin(smaller.maps.fd("jobs"), "jobs")) ktap_bail("pinning");
+  if (!world.maps.pin(smaller.maps.fd("jobs"), "jobs")) ksft_exit_fail_msg("pinning\n");
   const_cast<xauto_bpf_head&>(world.maps.head()).slots = 1;
   world.load();
   {
     const auto sleeps = [](const kernel::ThreadSlot&) { usleep(10'000); };
     XNodeThread good(world, 0, sleeps);
-    ktap_test(scx_state() == "enabled" && good.index() == 0,
-              "a thread whose slot has a job is fine");
+    ksft_test_result(scx_state() == "enabled" && good.index() == 0,
+                     "a thread whose slot has a job is fine\n");
     XNodeThread bad(world, 0, sleeps);
   }
   const bool ended = wait_for([&] { return kernel::scx_exit_of(world.maps.sched()).has_value(); });
   const std::string why = kernel::scx_exit_of(world.maps.sched()).value_or("nothing");
-  ktap_note("%s", why.c_str());
-  ktap_test(ended && why.find("slot 1 has no job") != std::string::npos,
-            "one whose slot has none cannot be: the scheduler ends and says why");
-  ktap_test(wait_for([] { return scx_state() == "disabled"; }),
-            "... and the kernel is back at its own");
+  ksft_print_msg("%s\n", why.c_str());
+  ksft_test_result(ended && why.find("slot 1 has no job") != std::string::npos,
+                   "one whose slot has none cannot be: the scheduler ends and says why\n");
+  ksft_test_result(wait_for([] { return scx_state() == "disabled"; }),
+                   "... and the kernel is back at its own\n");
   wait_for([&] { return kernel::kept_scx_dump("", world.maps.run()).has_value(); });
   const auto kept = kernel::kept_scx_dump("", world.maps.run());
   std::string dump;
   if (kept) std::getline(std::ifstream(kept->path), dump, '\0');
-  ktap_test(kept && kept->about.find("slot 1 has no job") != std::string::npos &&
-                dump.find("xauto: mode 1, ") != std::string::npos &&
-                dump.size() < XAUTO_BPF_DUMP + 512,
-            "... whose dump is kept, %zu bytes, with our lines in it", dump.size());
+  ksft_test_result(kept && kept->about.find("slot 1 has no job") != std::string::npos &&
+                       dump.find("xauto: mode 1, ") != std::string::npos &&
+                       dump.size() < XAUTO_BPF_DUMP + 512,
+                   "... whose dump is kept, %zu bytes, with our lines in it\n", dump.size());
 }
 
 // ---- refusals: one clear line each, and nothing left behind -------------------------------------
 
 bool refused(const Result<kernel::ScxProcess>& result, const char* expected) {
   if (result) {
-    ktap_note("it was not refused");
+    ksft_print_msg("it was not refused\n");
     return false;
   }
   const std::string& what = result.error().what;
-  ktap_note("%s", what.c_str());
+  ksft_print_msg("%s\n", what.c_str());
   return what.find(expected) != std::string::npos && what.find('\n') == std::string::npos;
 }
 
 void another_scheduler() {
   (void)loaded_world();
   World second(1, kCpu);
-  ktap_test(refused(second.try_load(), "another sched_ext scheduler is loaded: 'xauto"),
-            "with another scheduler loaded");
-  ktap_test(scx_state() == "enabled", "... which stays");
+  ksft_test_result(refused(second.try_load(), "another sched_ext scheduler is loaded: 'xauto"),
+                   "with another scheduler loaded\n");
+  ksft_test_result(scx_state() == "enabled", "... which stays\n");
 }
 
 void wrong_layout() {
@@ -236,24 +239,27 @@ void wrong_layout() {
   const std::string table = kernel::RunMaps::folder(good.maps.run()) + "/table";
   unlink(table.c_str());
   // A map of another size under the name of ours.
-  if (!good.maps.pin(other.maps.fd("slots"), "table")) ktap_bail("pinning");
-  ktap_test(refused(good.try_load(), "map 'table' has keys of 4 and values of 128 bytes"),
-            "with maps of another layout");
+  if (!good.maps.pin(other.maps.fd("slots"), "table")) ksft_exit_fail_msg("pinning\n");
+  ksft_test_result(refused(good.try_load(), "map 'table' has keys of 4 and values of 128 bytes"),
+                   "with maps of another layout\n");
   auto& head = const_cast<xauto_bpf_head&>(other.maps.head());
   head.abi = 99;
-  ktap_test(refused(other.try_load(), "maps of layout 99"), "with maps of another version");
+  ksft_test_result(refused(other.try_load(), "maps of layout 99"),
+                   "with maps of another version\n");
   head.abi = 0;
-  ktap_test(refused(other.try_load(), "the run is just starting"), "with maps that are being made");
+  ksft_test_result(refused(other.try_load(), "the run is just starting"),
+                   "with maps that are being made\n");
   head.abi = XAUTO_BPF_ABI;
 }
 
 void without_btf() {
   World world(1, kCpu);
   mkdir("/tmp/empty", 0755);
-  if (mount("/tmp/empty", "/sys/kernel/btf", nullptr, MS_BIND, nullptr) != 0) ktap_bail("mount");
+  if (mount("/tmp/empty", "/sys/kernel/btf", nullptr, MS_BIND, nullptr) != 0)
+    ksft_exit_fail_msg("mount\n");
   const bool told = refused(world.try_load(), "this kernel has no BTF");
   umount("/sys/kernel/btf");
-  ktap_test(told, "without BTF");
+  ksft_test_result(told, "without BTF\n");
 }
 
 void without_privilege() {
@@ -261,7 +267,7 @@ void without_privilege() {
   chmod("/", 0755);  // of the initramfs
   // The folder is root's: whoever may not read it has no right to schedule either.
   int ends[2];
-  if (pipe(ends) != 0) ktap_bail("pipe");
+  if (pipe(ends) != 0) ksft_exit_fail_msg("pipe\n");
   const pid_t child = fork();
   if (child == 0) {
     if (setgid(1000) != 0 || setuid(1000) != 0) _exit(3);
@@ -275,19 +281,20 @@ void without_privilege() {
   (void)!read(ends[0], text, sizeof text - 1);
   close(ends[0]);
   waitpid(child, nullptr, 0);
-  ktap_note("%s", text);
-  ktap_test(
+  ksft_print_msg("%s\n", text);
+  ksft_test_result(
       strstr(text, "Permission denied") != nullptr || strstr(text, "not permitted") != nullptr,
-      "without privilege");
-  ktap_test(scx_state() == "disabled", "... and after all refusals nothing is loaded");
+      "without privilege\n");
+  ksft_test_result(scx_state() == "disabled", "... and after all refusals nothing is loaded\n");
 }
 
 void without_table() {
   World world(1, kCpu);
   auto empty = kernel::RunMaps::create(std::to_string(getpid()) + "-empty", 2, 4);
-  if (!empty) ktap_bail("maps");
+  if (!empty) ksft_exit_fail_msg("maps\n");
   auto loaded = kernel::start_scx(program_folder(), empty->run(), {kCpu});
-  ktap_test(loaded && scx_state() == "enabled", "without a table yet: XNodes are ordinary threads");
+  ksft_test_result(loaded && scx_state() == "enabled",
+                   "without a table yet: XNodes are ordinary threads\n");
 }
 
 void isolated_mode() {
@@ -302,12 +309,12 @@ void isolated_mode() {
     stop = true;
     low.join();
     high.join();
-    ktap_test(high.cpu() > 0.7 && low.cpu() < 0.2,
-              "partial mode orders SCHED_EXT threads: %.2f and %.2f s of 1.0", high.cpu(),
-              low.cpu());
+    ksft_test_result(high.cpu() > 0.7 && low.cpu() < 0.2,
+                     "partial mode orders SCHED_EXT threads: %.2f and %.2f s of 1.0\n", high.cpu(),
+                     low.cpu());
   }
-  ktap_test(!choice.partial, "on CPUs that are not isolated full mode is chosen: %s",
-            choice.why.c_str());
+  ksft_test_result(!choice.partial, "on CPUs that are not isolated full mode is chosen: %s\n",
+                   choice.why.c_str());
 }
 
 // Those that share a scheduler first.
@@ -332,5 +339,5 @@ int main(int argc, char** argv) {
   const char* wanted = argc > 1 ? argv[1] : "";
   if (argc > 2) g_kills = std::max(1, atoi(argv[2]));
   if (argc > 3) g_tables = std::max(1, atoi(argv[3]));
-  return run_tests(kTests, wanted);
+  run_tests(kTests, wanted);
 }

@@ -37,9 +37,10 @@ void two_spinners() {
     stop = true;
     first.join();
     second.join();
-    ktap_test(high.cpu() > 1.1 && low.cpu() < 0.3,
-              "of two spinners on a CPU the more urgent has it, %s first: %.2f and %.2f s of 1.5",
-              high_first ? "it" : "the other", high.cpu(), low.cpu());
+    ksft_test_result(
+        high.cpu() > 1.1 && low.cpu() < 0.3,
+        "of two spinners on a CPU the more urgent has it, %s first: %.2f and %.2f s of 1.5\n",
+        high_first ? "it" : "the other", high.cpu(), low.cpu());
   }
 }
 
@@ -83,9 +84,9 @@ void order_of_eight() {
       }
   }
   open = true;
-  ktap_test(
+  ksft_test_result(
       wrong == 0 && stuck == 0,
-      "eight priorities run in exact order in each of %d rounds, woken in any order (%d wrong)",
+      "eight priorities run in exact order in each of %d rounds, woken in any order (%d wrong)\n",
       rounds, wrong);
 }
 
@@ -124,15 +125,16 @@ void equal_priorities() {
     return std::all_of(waiters.begin(), waiters.end(), [](auto& w) { return w->done() == 1; });
   });
   // The threads' jobs were latched when they entered, in the order 0, 1, 2, ...
-  ktap_test(order == std::vector<int>({0, 1, 2, 3, 4, 5}),
-            "equal priorities keep the order in which their jobs arrived, over many slices");
+  ksft_test_result(
+      order == std::vector<int>({0, 1, 2, 3, 4, 5}),
+      "equal priorities keep the order in which their jobs arrived, over many slices\n");
 }
 
 void preemption() {
   World world(2, kCpu);
   world.load();
   auto tracer = kernel::Tracer::attach(world.maps, {});
-  if (!tracer) ktap_bail("tracer: %s", tracer.error().to_string().c_str());
+  if (!tracer) ksft_exit_fail_msg("tracer: %s\n", tracer.error().to_string().c_str());
   std::atomic<bool> stop{false};
   std::atomic<std::uint32_t> low_tid{0}, high_tid{0};
   std::vector<double> latencies;
@@ -165,12 +167,14 @@ void preemption() {
   while (tracer->read(0, sink).value_or(0) > 0) {
   }
   std::sort(latencies.begin(), latencies.end());
-  ktap_note("wake-up of the urgent job over the running one, us: p50 %.0f p99 %.0f max %.0f",
-            latencies[100], latencies[197], latencies[199]);
-  ktap_test(latencies[100] < 3000, "a waking urgent job runs at once, median of 200 below 3 ms");
-  ktap_test(preemptions >= 190 && tracer->losses().events == 0,
-            "the trace shows the running job preempted by it: %d of 200 times, %llu records lost",
-            preemptions, static_cast<unsigned long long>(tracer->losses().events));
+  ksft_print_msg("wake-up of the urgent job over the running one, us: p50 %.0f p99 %.0f max %.0f\n",
+                 latencies[100], latencies[197], latencies[199]);
+  ksft_test_result(latencies[100] < 3000,
+                   "a waking urgent job runs at once, median of 200 below 3 ms\n");
+  ksft_test_result(
+      preemptions >= 190 && tracer->losses().events == 0,
+      "the trace shows the running job preempted by it: %d of 200 times, %llu records lost\n",
+      preemptions, static_cast<unsigned long long>(tracer->losses().events));
 }
 
 void placement() {
@@ -193,8 +197,8 @@ void placement() {
     }
     wait_for([&] { return waiter.done() == 201; });
   }
-  ktap_test(wrong == 0 && jobs == 200,
-            "each job runs on the CPU of its table entry: %d of %d did not", wrong, jobs);
+  ksft_test_result(wrong == 0 && jobs == 200,
+                   "each job runs on the CPU of its table entry: %d of %d did not\n", wrong, jobs);
 }
 
 void lowered_by_store() {
@@ -220,9 +224,9 @@ void lowered_by_store() {
     changing.join();
     wait_for([&] { return waiting.done() == 1; });
   }
-  ktap_test(strcmp(order, "012") == 0,
-            "a job less urgent than one that waits, told by a store, yields to it at once: %s",
-            order);
+  ksft_test_result(
+      strcmp(order, "012") == 0,
+      "a job less urgent than one that waits, told by a store, yields to it at once: %s\n", order);
   std::atomic<bool> runs{false}, go{false}, stop{false};
   XNodeThread silent(world, 2, [&](const kernel::ThreadSlot& slot) {
     runs = true;
@@ -238,7 +242,7 @@ void lowered_by_store() {
   const bool ran = wait_for([&] { return waiting.done() == 1; }, 5);
   stop = true;
   silent.join();
-  ktap_test(ran, "... and if it does not yield, the tick takes the CPU from it");
+  ksft_test_result(ran, "... and if it does not yield, the tick takes the CPU from it\n");
 }
 
 void told_while_queued() {
@@ -261,8 +265,8 @@ void told_while_queued() {
     open = true;
     wait_for([&] { return first.done() == 1 && second.done() == 1; });
   }
-  ktap_test(order == std::vector<int>({0, 1}),
-            "a thread told a more urgent job while it waits is served by that one");
+  ksft_test_result(order == std::vector<int>({0, 1}),
+                   "a thread told a more urgent job while it waits is served by that one\n");
 }
 
 // ---- the traps ----------------------------------------------------------------------------------
@@ -303,8 +307,9 @@ void lost_preemption() {
     }
     stop = true;
   }
-  ktap_test(late == 0, "no preemption is lost behind a real-time thread: worst of 30 %.1f ms",
-            worst * 1e3);
+  ksft_test_result(late == 0,
+                   "no preemption is lost behind a real-time thread: worst of 30 %.1f ms\n",
+                   worst * 1e3);
 }
 
 void kick_storm() {
@@ -324,11 +329,12 @@ void kick_storm() {
   }
   const auto kicks = world.stat(XAUTO_BPF_STAT_KICKED) + world.stat(XAUTO_BPF_STAT_RECHECKED);
   const auto wakes = world.stat(XAUTO_BPF_STAT_QUEUED);
-  ktap_test(scx_state() == "enabled" && kicks <= wakes + wakes / 2 && rounds > 100,
-            "a storm of wake-ups causes about one kick each at most: %llu wake-ups, %llu kicks, "
-            "%llu jobs",
-            static_cast<unsigned long long>(wakes), static_cast<unsigned long long>(kicks),
-            static_cast<unsigned long long>(rounds.load()));
+  ksft_test_result(
+      scx_state() == "enabled" && kicks <= wakes + wakes / 2 && rounds > 100,
+      "a storm of wake-ups causes about one kick each at most: %llu wake-ups, %llu kicks, "
+      "%llu jobs\n",
+      static_cast<unsigned long long>(wakes), static_cast<unsigned long long>(kicks),
+      static_cast<unsigned long long>(rounds.load()));
 }
 
 void finite_slice() {
@@ -348,9 +354,10 @@ void finite_slice() {
   stop = true;
   low.join();
   high.join();
-  ktap_test(ended > 50 && got_ms < 10,
-            "when a slice ends the more urgent goes on: %llu slices, the other got %.1f ms",
-            static_cast<unsigned long long>(ended), got_ms);
+  ksft_test_result(
+      ended > 50 && got_ms < 10,
+      "when a slice ends the more urgent goes on: %llu slices, the other got %.1f ms\n",
+      static_cast<unsigned long long>(ended), got_ms);
 }
 
 void watchdog() {
@@ -377,13 +384,13 @@ void watchdog() {
   high.join();
   other.join();
   const double wall = seconds(Clock::now() - begin);
-  ktap_test(state == "enabled",
-            "a runaway does not get us thrown out by the watchdog: 5 s, limit 2 s");
-  ktap_test(low.cpu() > 0.005, "a starved XNode thread gets turns: %.3f s of %.1f", low.cpu(),
-            wall);
-  ktap_test(ordinary > 0.01 * wall && ordinary < 0.2 * wall && high.cpu() > 0.75 * wall,
-            "an ordinary spinner gets the floor, not more: %.2f of %.2f s, the XNode %.2f",
-            ordinary, wall, high.cpu());
+  ksft_test_result(state == "enabled",
+                   "a runaway does not get us thrown out by the watchdog: 5 s, limit 2 s\n");
+  ksft_test_result(low.cpu() > 0.005, "a starved XNode thread gets turns: %.3f s of %.1f\n",
+                   low.cpu(), wall);
+  ksft_test_result(ordinary > 0.01 * wall && ordinary < 0.2 * wall && high.cpu() > 0.75 * wall,
+                   "an ordinary spinner gets the floor, not more: %.2f of %.2f s, the XNode %.2f\n",
+                   ordinary, wall, high.cpu());
 }
 
 void responsive_shell() {
@@ -416,9 +423,9 @@ void responsive_shell() {
   stop = true;
   first.join();
   second.join();
-  ktap_test(
+  ksft_test_result(
       alone.size() == 11 && under.size() == 11 && under[5] < 2.0,
-      "a shell under runaways on all CPUs: a command takes %.0f ms, median of 11 (alone %.0f ms)",
+      "a shell under runaways on all CPUs: a command takes %.0f ms, median of 11 (alone %.0f ms)\n",
       under.size() == 11 ? under[5] * 1e3 : -1.0, alone.size() == 11 ? alone[5] * 1e3 : -1.0);
 }
 
@@ -436,10 +443,12 @@ void budget() {
   stop = true;
   low.join();
   runaway.join();
-  ktap_test(demoted && used_ms >= 50 && used_ms < 200 && world.stat(XAUTO_BPF_STAT_DEMOTED) == 1,
-            "a job over its budget of 50 ms is demoted once, after %.1f ms", used_ms);
+  ksft_test_result(
+      demoted && used_ms >= 50 && used_ms < 200 && world.stat(XAUTO_BPF_STAT_DEMOTED) == 1,
+      "a job over its budget of 50 ms is demoted once, after %.1f ms\n", used_ms);
   // It may go on where nobody more urgent is: on the other CPU.
-  ktap_test(low.cpu() > 1.1, "... and the less urgent one has its CPU: %.2f s of 1.5", low.cpu());
+  ksft_test_result(low.cpu() > 1.1, "... and the less urgent one has its CPU: %.2f s of 1.5\n",
+                   low.cpu());
 }
 
 void kernel_threads() {
@@ -461,9 +470,9 @@ void kernel_threads() {
   first.join();
   second.join();
   std::sort(took.begin(), took.end());
-  ktap_test(took[10] < 0.3,
-            "kernel threads stay prompt under runaways: a grace period takes %.0f ms",
-            took[10] * 1e3);
+  ksft_test_result(took[10] < 0.3,
+                   "kernel threads stay prompt under runaways: a grace period takes %.0f ms\n",
+                   took[10] * 1e3);
 }
 
 void counts() {
@@ -487,26 +496,28 @@ void counts() {
   const std::uint64_t latched = world.stat(XAUTO_BPF_STAT_LATCHED) - before;
   std::vector<xauto_bpf_counts> each(kernel::possible_cpus().value());
   const std::uint32_t only = 0;
-  if (!kernel::get_element(world.maps.fd("counts"), &only, each.data())) ktap_bail("no counts");
+  if (!kernel::get_element(world.maps.fd("counts"), &only, each.data()))
+    ksft_exit_fail_msg("no counts\n");
   const auto counting = std::count_if(each.begin(), each.end(), [](const xauto_bpf_counts& cpu) {
     return cpu.stats[XAUTO_BPF_STAT_LATCHED] > 0;
   });
   // Beside the jobs, each thread takes up one when it enters.
-  ktap_test(latched >= 2 * kJobs && latched <= 2 * kJobs + 2 && counting == 2,
-            "the counts of all CPUs make one: %llu jobs taken up of %llu, on %d CPUs",
-            static_cast<unsigned long long>(latched), 2ULL * kJobs, static_cast<int>(counting));
+  ksft_test_result(latched >= 2 * kJobs && latched <= 2 * kJobs + 2 && counting == 2,
+                   "the counts of all CPUs make one: %llu jobs taken up of %llu, on %d CPUs\n",
+                   static_cast<unsigned long long>(latched), 2ULL * kJobs,
+                   static_cast<int>(counting));
 }
 
 // ---- coming and going ---------------------------------------------------------------------------
 
 void leaves_nothing() {
   const std::string folder = kernel::RunMaps::folder(loaded_world().maps.run());
-  ktap_test(access((folder + "/table").c_str(), F_OK) == 0 &&
-                access((folder + "/cpu_states").c_str(), F_OK) == 0,
-            "the maps are pinned below %s", XAUTO_BPF_ROOT);
+  ksft_test_result(access((folder + "/table").c_str(), F_OK) == 0 &&
+                       access((folder + "/cpu_states").c_str(), F_OK) == 0,
+                   "the maps are pinned below %s\n", XAUTO_BPF_ROOT);
   end_loaded_world();
-  ktap_test(scx_state() == "disabled", "ended in order, the scheduler is gone");
-  ktap_test(access(folder.c_str(), F_OK) != 0, "... and so is the folder with the pins");
+  ksft_test_result(scx_state() == "disabled", "ended in order, the scheduler is gone\n");
+  ksft_test_result(access(folder.c_str(), F_OK) != 0, "... and so is the folder with the pins\n");
 }
 
 // Those that share a scheduler first.
@@ -533,5 +544,5 @@ const Test kTests[] = {
 }  // namespace xauto::test
 
 int main(int argc, char** argv) {
-  return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
+  xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }

@@ -4,6 +4,7 @@
 
 #include <cstring>
 
+#include <kselftest.h>
 #include <linux/futex.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -11,7 +12,6 @@
 #include "base/clock.h"
 #include "kernel/scx_scheduler.h"
 
-#include "../ktap.h"
 #include "world.h"
 
 namespace xauto::test {
@@ -92,26 +92,28 @@ inline bool is_wanted(const Test& test, const char* wanted) {
   return strstr(test.name, wanted) != nullptr;
 }
 
-/// Those of `wanted`. Returns the program's status.
+/// Those of `wanted`. Ends the program.
 template <std::size_t N>
-static int run_tests(const Test (&tests)[N], const char* wanted) {
+static void run_tests(const Test (&tests)[N], const char* wanted) {
   int count = 0;
   for (const Test& test : tests) count += is_wanted(test, wanted) ? test.count : 0;
-  ktap_plan(count);
+  setlinebuf(stdout);
+  ksft_print_header();
+  ksft_set_plan(count);
   if (const std::string why = kernel::scx_refusal(""); !why.empty()) {
-    for (int i = 0; i < count; ++i) ktap_skip("scheduler", why.c_str());
-    return ktap_exit();
+    for (int i = 0; i < count; ++i) ksft_test_result_skip("scheduler: %s\n", why.c_str());
+    ksft_finished();
   }
   become_controller();
   for (const Test& test : tests) {
     if (!is_wanted(test, wanted)) continue;
-    ktap_note("%s", test.name);
+    ksft_print_msg("%s\n", test.name);
     const std::int64_t since_ns = now_ns();
     test.run();
-    ktap_note("%s: %.1f s", test.name, static_cast<double>(now_ns() - since_ns) * 1e-9);
+    ksft_print_msg("%s: %.1f s\n", test.name, static_cast<double>(now_ns() - since_ns) * 1e-9);
   }
   end_loaded_world();
-  return ktap_exit();
+  ksft_finished();
 }
 
 }  // namespace xauto::test

@@ -25,7 +25,8 @@ loaded() { # PID: waits until a run has loaded its scheduler, for 60 s
   done
   echo "# no scheduler was loaded"
 }
-. "$(dirname "$0")/container.sh"
+here=$(realpath "$(dirname "$0")")
+. "$here/container.sh"
 dir=/tmp/tools
 mkdir -p $dir && cd $dir || exit 1
 echo "TAP version 13"
@@ -175,7 +176,7 @@ tail -n +2 limited.order >limited.warm
 ok "... in the same order as without one" sh -c '[ "$(wc -l <limited.warm)" -eq 6 ] && head -n 6 fifo.warm | cmp -s - limited.warm'
 head -n 6 fifo.warm | diff - limited.warm | head -n 6 | sed 's/^/# /'
 
-. "$(dirname "$0")/trace.sh"
+. "$here/trace.sh"
 
 # What the verifier said of everything that was loaded above: counts, and nothing else.
 ok "the verifier's log tells of both objects" sh -c 'grep -q "^# xauto_scx on" verifier.log && grep -q "^# xauto_trace on" verifier.log'

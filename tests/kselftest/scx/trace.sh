@@ -11,7 +11,7 @@ bpftool map event_pipe pinned "$maps/pipe" >pipe.txt 2>&1 &
 pipe=$!
 bpftool prog list >prog_list.txt
 bpftool struct_ops list >struct_ops.txt
-for map in table jobs hist; do # those that are looked at below
+for map in policy table jobs hist; do # those that are looked at below
   bpftool map dump pinned "$maps/$map" >"dump_$map.txt" 2>&1 || echo "# no dump of $map"
 done
 xauto top --count 2 --interval 800ms >top.txt 2>top.err
@@ -30,7 +30,9 @@ ok "xauto top shows each XNode and each XPU's load" sh -c 'grep -q "cpu0 .* %" t
 ok "bpftool map event_pipe prints events" has "CPU: " pipe.txt
 ok "bpftool prog list shows the programs" sh -c 'grep -q struct_ops prog_list.txt && grep -q tracing prog_list.txt'
 ok "bpftool struct_ops list shows the scheduler" has "sched_ext_ops" struct_ops.txt
-ok "bpftool map dump shows the table" has '"key": -19' dump_table.txt
+ok "bpftool map dump shows the policy, a row for each of the 19 XNodes" \
+  sh -c '[ "$(grep -c "\"xnode\": " dump_policy.txt)" = 19 ] && [ "$(grep -c "\"by\": \"priority\"" dump_policy.txt)" = 19 ]'
+ok "... and the scheduler's table" has '"key": -19' dump_table.txt
 ok "... what each thread goes by" has '"version": 1' dump_jobs.txt
 ok "... and the histograms" has '"latency": ' dump_hist.txt
 ok "nothing stays pinned" [ -z "$(ls /sys/fs/bpf/xauto 2>/dev/null)" ]

@@ -5,6 +5,7 @@
 #include <ctime>
 #include <fstream>
 
+#include <kselftest.h>
 #include <sched.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -12,14 +13,12 @@
 #include "base/process.h"
 #include "coord/rule.h"
 
-#include "../ktap.h"
-
 namespace xauto::test {
 namespace {
 
 template <class T>
 T must(Result<T> result, const char* what) {
-  if (!result) ktap_bail("%s: %s", what, result.error().to_string().c_str());
+  if (!result) ksft_exit_fail_msg("%s: %s\n", what, result.error().to_string().c_str());
   return std::move(*result);
 }
 
@@ -91,7 +90,7 @@ void World::renew() {
 
 void World::put_rows() {
   if (auto status = maps.replace_table(rows); !status)
-    ktap_bail("table: %s", status.error().to_string().c_str());
+    ksft_exit_fail_msg("table: %s\n", status.error().to_string().c_str());
 }
 
 Result<kernel::ScxProcess> World::try_load(const std::vector<std::string>& arguments) const {
@@ -106,7 +105,7 @@ void World::load(const std::vector<std::string>& arguments) {
 void World::unload() {
   loader.reset();
   if (!wait_for([] { return scx_state() == "disabled"; }))
-    ktap_bail("the scheduler is still there: %s", scx_state().c_str());
+    ksft_exit_fail_msg("the scheduler is still there: %s\n", scx_state().c_str());
 }
 
 std::uint64_t World::stat(int which) const {
@@ -137,14 +136,15 @@ XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
   thread_ = std::thread([&world, &entered, slot = slot_, xnode, ext, body = std::move(body), this] {
     if (ext) {
       sched_param none{};
-      if (syscall(SYS_sched_setscheduler, 0, SCHED_EXT, &none) != 0) ktap_bail("SCHED_EXT refused");
+      if (syscall(SYS_sched_setscheduler, 0, SCHED_EXT, &none) != 0)
+        ksft_exit_fail_msg("SCHED_EXT refused\n");
     }
     cpu_set_t all;  // the controller's affinity is not theirs: the table says where they run
     CPU_ZERO(&all);
     for (unsigned c = 0; c < 64; ++c) CPU_SET(c, &all);
     sched_setaffinity(0, sizeof all, &all);
     if (auto status = world.slots.enter(slot); !status)
-      ktap_bail("entering: %s", status.error().to_string().c_str());
+      ksft_exit_fail_msg("entering: %s\n", status.error().to_string().c_str());
     (void)slot.tell(xnode, 0);
     usleep(1000);  // woken by its job, on its CPU
     entered = true;
@@ -154,7 +154,7 @@ XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
     world.slots.leave(slot);
   });
   // Sleeping: the controller is real-time, and the new thread begins on its CPU.
-  if (!wait_for([&] { return entered.load(); })) ktap_bail("a thread did not begin");
+  if (!wait_for([&] { return entered.load(); })) ksft_exit_fail_msg("a thread did not begin\n");
 }
 
 void XNodeThread::join() {
@@ -166,7 +166,7 @@ void become_controller() {
   sched_param priority{};
   priority.sched_priority = 50;
   if (sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &priority) != 0)
-    ktap_bail("the test needs SCHED_FIFO");
+    ksft_exit_fail_msg("the test needs SCHED_FIFO\n");
 }
 
 std::string scx_state() {

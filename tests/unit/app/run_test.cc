@@ -20,6 +20,9 @@
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
 
+#include "kernel/bpf_sys.h"
+#include "kernel/policy_map.h"
+#include "kernel/run_folder.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "model/periodic.h"
@@ -203,7 +206,35 @@ class WithTables : public Fixture {
   int next = 0;
 };
 
+/// Of this process's only run, as bpftool would show it: "m1 gpu0 priority 2; ..."; "" without the right to bpf(2).
+std::string deployed() {
+  std::string text;
+  for (const std::string& run : kernel::RunFolder::alive()) {
+    if (run.rfind(std::to_string(getpid()) + "-", 0) != 0) continue;
+    const auto map = kernel::PolicyMap::open(run);
+    for (const xauto_bpf_policy& row : map ? map->rows() : std::vector<xauto_bpf_policy>())
+      text += std::string(row.xnode) + " " + row.xpu + " " + row.by + " " +
+              std::to_string(row.value) + "; ";
+  }
+  return text;
+}
+
+TEST(Run, ThePolicyIsInAMapWhereBpfIsPermittedAndGoesWithTheRun) {
+  Fixture f("a");
+  std::string seen;
+  f.app.on_start([&] { seen = deployed(); });
+  const auto report = f.app.run(f.options());
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(seen, kernel::may_use_bpf() ? "m1 gpu0 priority 2; m2 cpu0 priority 1; " : "");
+  EXPECT_EQ(deployed(), "");
+}
+
 TEST(Run, TablesByWhatTheProgramAsksFor) {
+  const auto on = [](const char* xpu) {
+    const bool may = kernel::may_use_bpf();
+    EXPECT_EQ(deployed().find(std::string("m2 ") + xpu + " ") != std::string::npos, may)
+        << deployed();
+  };
   WithTables f;
   EXPECT_NE(f.app.request_mode("highway").error().what.find("no run goes on"), std::string::npos);
   std::thread driver;
@@ -217,8 +248,10 @@ TEST(Run, TablesByWhatTheProgramAsksFor) {
       const int on_time = f.next;
       f.drive([&] { return f.cpu == 1; });
       EXPECT_EQ(f.next, on_time + 1) << "the next release has the other table";
+      on("cpu1");
       ASSERT_TRUE(f.app.request_mode(""));
       f.drive([&] { return f.cpu == 0; });
+      on("cpu0");
       f.app.stop();
     });
   });
