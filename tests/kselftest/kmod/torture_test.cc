@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Everything at once, for XAUTO_TORTURE_S seconds (5): several apps with TSGs and DLA queues at
 // work, several owners each that suspend, resume, register and unregister them, starve, close and
-// are killed, while the drivers refuse now and then. Afterwards nothing is suspended, all work
+// are killed, while the drivers refuse now and then and a platform device changes its driver. Afterwards nothing is suspended, all work
 // finishes, and (read by run-kmod when the module unloads) no object of the module is left.
 #include <csignal>
+#include <filesystem>
 #include <random>
+#include <string>
 #include <vector>
 
 #include <sys/prctl.h>
@@ -118,6 +120,28 @@ namespace {
   }
 }
 
+/// A platform device without which a guest goes on, as DRIVER/DEVICE; empty: there is none.
+std::string spare_device() {
+  for (const char* name : {"alarmtimer", "rtc_cmos", "pcspkr", "reg-dummy", "efivars"}) {
+    const std::string driver = std::string("/sys/bus/platform/drivers/") + name;
+    std::error_code error;
+    for (const auto& entry : std::filesystem::directory_iterator(driver, error))
+      if (entry.is_symlink() && std::filesystem::exists(entry.path() / "driver", error))
+        return entry.path();
+  }
+  return {};
+}
+
+/// Devices lose and get their drivers, as on any machine: the module reads them while it looks for those
+/// of a queue's file.
+[[noreturn]] void rebind(const std::filesystem::path& device) {
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  for (;;) {
+    guest::write(device.parent_path() / "unbind", device.filename());
+    guest::write(device.parent_path() / "bind", device.filename());
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -144,6 +168,9 @@ int main() {
     if (pid == 0) own(target, seed);
     owners[i] = pid;
   };
+  const std::string spare = spare_device();
+  const pid_t binder = spare.empty() ? 0 : fork();
+  if (!spare.empty() && binder == 0) rebind(spare);
   for (std::size_t i = 0; i < kApps; ++i) start_app(i);
   for (std::size_t i = 0; i < kOwners; ++i) start_owner(i);
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(seconds);
@@ -167,8 +194,14 @@ int main() {
   }
   for (const char* fault : {"fail_preempt", "fail_enable"}) guest::gpu_fault(fault, 0);
   for (const char* fault : {"fail_suspend", "fail_resume"}) guest::dla_fault(fault, 0);
-  ksft_print_msg("%d s: %ld owners, %ld apps, %ld faults\n", seconds, owner_lives, app_lives,
-                 faults);
+  if (binder > 0) {
+    kill(binder, SIGKILL);
+    waitpid(binder, nullptr, 0);
+    guest::write(std::filesystem::path(spare).parent_path() / "bind",
+                 std::filesystem::path(spare).filename());
+  }
+  ksft_print_msg("%d s: %ld owners, %ld apps, %ld faults, bound again and again: %s\n", seconds,
+                 owner_lives, app_lives, faults, spare.empty() ? "nothing" : spare.c_str());
   ksft_test_result(guest::eventually([] { return guest::suspended() == 0; }),
                    "nothing is suspended once the owners are gone\n");
   for (const pid_t pid : apps) {
