@@ -80,8 +80,8 @@ bool join_other(const CpuRunRequest& request, const std::vector<kernel::TableRow
 
 Result<DeployedPolicy> deploy_policy(const runtime::Session& session, const std::string& run,
                                      const kernel::RunMaps* maps) {
-  XAUTO_ASSIGN(kernel::PolicyMap map, kernel::PolicyMap::create(runtime::policy_rows(
-                                          session, runtime::first_table(session))));
+  XAUTO_ASSIGN(xpu::PolicyView map, xpu::PolicyView::create(runtime::policy_rows(
+                                        session, runtime::first_table(session))));
   std::optional<kernel::RunFolder> folder;
   if (maps == nullptr || maps->run() != run) {
     XAUTO_ASSIGN(folder, kernel::RunFolder::make(run));

@@ -10,20 +10,20 @@
 
 #include <xauto/result.h>
 
-#include "kernel/policy_map.h"
 #include "kernel/run_maps.h"
 #include "kernel/scx_process.h"
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/priority_plan.h"
 #include "session/session.h"
+#include "xpu/policy_view.h"
 
 namespace xauto::launch {
 
 /// The map of a run's policy, for as long as this lives: in the folder of the run's other maps, or in one of its own.
 struct DeployedPolicy {
   std::optional<kernel::RunFolder> folder;
-  kernel::PolicyMap map;
+  xpu::PolicyView map;
 };
 /// Of a session that runs, whatever its XPUs are. `maps`: those of the run that are this run's own; null: it has none.
 [[nodiscard]] Result<DeployedPolicy> deploy_policy(const runtime::Session& session,

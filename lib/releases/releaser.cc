@@ -2,8 +2,6 @@
 #include "releases/releaser.h"
 
 #include <algorithm>
-#include <functional>
-#include <memory>
 #include <set>
 #include <thread>
 
@@ -14,29 +12,14 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "base/thread.h"
-#include "kernel/policy_map.h"
 #include "record/xauto_msgs.h"
-#include "session/policy_rows.h"
+#include "runtime/shown_table.h"
 
 namespace xauto::runtime {
 namespace {
 
 /// Longer than any run, and a sum of two of them is no overflow.
 constexpr std::int64_t kForeverNs = INT64_MAX / 4;
-
-/// Of the table in force, to whoever looks at the policy's BPF map, if the run has one.
-std::function<void(std::size_t)> shower_of(const Session& session) {
-  if (!session.tables || session.cpu.policy.empty()) return [](std::size_t) {};
-  auto map = kernel::PolicyMap::open(session.cpu.policy);
-  if (!map) {
-    log::warn("the policy's BPF map will not show changes of the table: {}",
-              map.error().to_string());
-    return [](std::size_t) {};
-  }
-  return [&session, map = std::make_shared<kernel::PolicyMap>(std::move(*map))](std::size_t table) {
-    (void)map->put(policy_rows(session, table));  // of as many rows as it was made with
-  };
-}
 
 }  // namespace
 
@@ -51,7 +34,7 @@ Result<std::unique_ptr<Releaser>> Releaser::make(const Context& context, Wiring&
                                         for (const auto& worker : wiring.workers())
                                           worker->times().tell_time(now_ns);
                                       },
-                                      shower_of(context.session)));
+                                      shower_of_tables(context.session)));
   return releaser;
 }
 

@@ -14,9 +14,8 @@ namespace {
 Session three() {
   Session session;
   session.app.name = "app";
-  session.app.xnodes = {{"a", "m", {{"cpu", 10}}},
-                        {"b", "m", {{"gpu", 10}}},
-                        {std::string(60, 'x'), "n", {{"dla", 5}}}};
+  session.app.xnodes = {
+      {"a", "m", {{"cpu", 10}}}, {"b", "m", {{"gpu", 10}}}, {"c", "n", {{"dla", 5}}}};
   session.platform = {"p", {{"cpu0", "cpu"}, {"gpu0", "gpu"}, {"dla0", "dla"}}};
   session.policy.placements = {{0, 70}, {1, -3}, {2, 9}};
   return session;
@@ -28,21 +27,20 @@ TEST(PolicyRows, OfPrioritiesEveryXpuHasThem) {
   const char* xpus[] = {"cpu0", "gpu0", "dla0"};
   const std::int64_t priorities[] = {70, -3, 9};
   for (std::size_t i = 0; i < 3; ++i) {
-    EXPECT_STREQ(rows[i].xpu, xpus[i]);
-    EXPECT_STREQ(rows[i].by, "priority");
+    EXPECT_EQ(rows[i].xpu, xpus[i]);
+    EXPECT_EQ(rows[i].by, "priority");
     EXPECT_EQ(rows[i].value, priorities[i]);
     EXPECT_EQ(rows[i].keys, 0u);
     EXPECT_EQ(rows[i].xpu_index, i);
   }
-  EXPECT_STREQ(rows[1].xnode, "b");
-  EXPECT_EQ(rows[2].xnode, std::string(sizeof rows[2].xnode - 1, 'x')) << "cut, ended by 0";
+  EXPECT_EQ(rows[1].xnode, "b");
 }
 
 TEST(PolicyRows, OfKeysTheFirstAndHowManyThereAre) {
   Session session = three();
   session.keys.emplace().placements = {{0, {1500}}, {1, {20, 40, 30}}, {2, {7}}};
   const auto rows = policy_rows(session, 0);
-  EXPECT_STREQ(rows[0].by, "key_us");
+  EXPECT_EQ(rows[0].by, "key_us");
   EXPECT_EQ(rows[0].value, 1500);
   EXPECT_EQ(rows[0].keys, 1u);
   EXPECT_EQ(rows[1].value, 20);
@@ -61,22 +59,22 @@ TEST(PolicyRows, OfTablesThoseOfTheTableThatIsAskedFor) {
   session.by_table[1].placements[1].xpu = 0;
   EXPECT_EQ(first_table(session), 1u);
   const auto rows = policy_rows(session, 1);
-  EXPECT_STREQ(rows[1].xpu, "cpu0");
+  EXPECT_EQ(rows[1].xpu, "cpu0");
   EXPECT_EQ(rows[1].value, 20);
   EXPECT_EQ(rows[1].table, 1u);
-  EXPECT_STREQ(rows[2].by, "off");
-  EXPECT_STREQ(rows[2].xpu, "");
-  EXPECT_STREQ(policy_rows(session, 0)[2].by, "key_us");
+  EXPECT_EQ(rows[2].by, "off");
+  EXPECT_EQ(rows[2].xpu, "");
+  EXPECT_EQ(policy_rows(session, 0)[2].by, "key_us");
 }
 
 TEST(PolicyRows, WhereNobodySchedulesNoRowSaysThatSomebodyDoes) {
   Session session = three();
   session.scheduling = Scheduling::kTimeshare;
-  EXPECT_STREQ(policy_rows(session, 0)[1].by, "nobody");
-  EXPECT_STREQ(policy_rows(session, 0)[1].xpu, "gpu0");
+  EXPECT_EQ(policy_rows(session, 0)[1].by, "nobody");
+  EXPECT_EQ(policy_rows(session, 0)[1].xpu, "gpu0");
   session.scheduling = Scheduling::kRos2;
-  EXPECT_STREQ(policy_rows(session, 0)[1].xpu, "");
-  EXPECT_STREQ(policy_rows(session, 0)[1].xnode, "b");
+  EXPECT_EQ(policy_rows(session, 0)[1].xpu, "");
+  EXPECT_EQ(policy_rows(session, 0)[1].xnode, "b");
 }
 
 }  // namespace
