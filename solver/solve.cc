@@ -127,7 +127,7 @@ std::string ms(Time us) {
 
 /// Who has proven what, after the model.
 std::string words_of(const IlpAnswer& answer) {
-  if (answer.nodes + answer.by_lp + answer.by_ranges == 0)
+  if (answer.finished && answer.nodes + answer.by_lp + answer.by_ranges == 0)
     return "optimal before the model: the search's answer meets its own bound";
   const std::string work = fmt::format(
       "{} nodes; lp_solve's {} LPs refuted {} of them and of what was asked at the root, ranges "
