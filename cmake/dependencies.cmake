@@ -20,7 +20,7 @@ else()
 endif()
 find_package(SQLite3 REQUIRED)             # recorded inputs: lib/record only
 find_package(ZLIB REQUIRED)                # ... MCAP's checksums
-find_package(Eigen3 3.3 REQUIRED NO_MODULE)  # solver
+find_package(Eigen3 3.3 REQUIRED NO_MODULE)  # dense linear algebra: solver only
 find_path(XAUTO_EXPECTED_INCLUDE tl/expected.hpp REQUIRED)  # Result<T>
 find_path(LPSOLVE_INCLUDE lpsolve/lp_lib.h REQUIRED)        # the ILP: solver/ only
 find_library(LPSOLVE_LIBRARY NAMES lpsolve55_pic lpsolve55 REQUIRED)

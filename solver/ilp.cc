@@ -1,349 +1,313 @@
 // SPDX-License-Identifier: Apache-2.0
-// The paper's model, equations 1-6; docs/ilp.md has every row in its notation. Times are scaled so
-// that the horizon is 1000: big-M rows and lp_solve's tolerances (1e-9 on rows, 1e-7 on integers)
-// then mean well below a microsecond.
+// Branch and cut over the paper's model: docs/ilp.md, "How it is solved".
 #include "solver/ilp.h"
 
 #include <algorithm>
-#include <cmath>
-#include <set>
+#include <bit>
+#include <numeric>
 
 #include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/heft.h"
-#include "solver/ilp_model.h"
+#include "solver/ilp_lp.h"
+#include "solver/ilp_ranges.h"
+#include "solver/paper_model.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
 namespace {
 
-using Term = IlpModel::Term;
-
-constexpr int kMaxXNodes = 60;  ///< n^3 m rows: 1.3 million at 60 on `small`
-
-std::string tag(const char* what, std::initializer_list<int> indices) {
-  std::string name = what;
-  for (const int i : indices) (name += "_") += std::to_string(i);
-  return name;
+/// What the model has, which knows no cost of preemption.
+Problem without_costs(const Problem& problem) {
+  Problem free = problem;
+  std::fill(free.preemptive.begin(), free.preemptive.end(), 1);
+  std::fill(free.preempt.begin(), free.preempt.end(), 0);
+  std::fill(free.levels.begin(), free.levels.end(), 0);
+  return free;
 }
 
-class PaperModel {
+class BranchAndCut {
  public:
-  PaperModel(const Problem& problem, Time horizon)
+  BranchAndCut(const Problem& problem, IlpAnswer& answer, Until until)
       : p_(problem),
-        unit_(static_cast<double>(horizon) / kHorizon),
-        one_(1 / unit_),
-        horizon_(horizon),
-        reaches_(at(problem.num_xnodes), std::vector<char>(at(problem.num_xnodes), 0)) {
-    for (auto it = p_.topo.rbegin(); it != p_.topo.rend(); ++it)
-      for (const int s : p_.succ[at(*it)]) {
-        reaches_[at(*it)][at(s)] = 1;
-        for (int k = 0; k < p_.num_xnodes; ++k)
-          if (reaches_[at(s)][at(k)]) reaches_[at(*it)][at(k)] = 1;
-      }
-    columns();
-    equation_1();
-    equation_2();
-    equation_3();
-    symmetry();
-    ordering();
-    equations_4_and_5();
-    equation_6();
-    cuts();
-  }
+        free_(without_costs(problem)),
+        answer_(answer),
+        until_(until),
+        ranges_(problem),
+        relaxation_(problem, ranges_),
+        weight_(at(problem.num_xnodes), 1.0),
+        limit_(answer.makespan - 1) {}
 
-  IlpModel& model() { return model_; }
-  void bound_makespan(Time low, Time high) {
-    model_.set_range(makespan_, static_cast<double>(low) / unit_,
-                     static_cast<double>(high) / unit_);
-  }
-  /// Scaled back; the model's makespans are whole microseconds but for rounding.
-  [[nodiscard]] Time makespan() const {
-    return static_cast<Time>(std::ceil(model_.value(makespan_) * unit_ - 0.05));
-  }
-  /// XPUs as in the model; priorities by its finishes, as the paper takes them, or by its starts,
-  /// which preempt less and may be better where that costs.
-  [[nodiscard]] Decision decision(bool by_start) const {
-    Decision d;
-    std::vector<Time> key;
-    for (int i = 0; i < p_.num_xnodes; ++i) {
-      int best = -1;
-      for (int m = 0; m < p_.num_xpus; ++m)
-        if (p(i, m) > 0 && (best < 0 || model_.value(p(i, m)) > model_.value(p(i, best)))) best = m;
-      d.xpu.push_back(best);
-      const int column = by_start ? s_[at(i)] : f_[at(i)];
-      key.push_back(static_cast<Time>(std::llround(model_.value(column) * unit_)));
-    }
-    d.priority = priorities_by_key(key);
-    return d;
+  void run() {
+    raise_bound();
+    IlpNode root = ranges_.root(limit_);
+    std::vector<Window> windows;
+    if (probe(root, windows)) descend(std::move(root), std::move(windows));
+    answer_.finished = !until_.over();
+    answer_.lps = relaxation_.solved();
+    answer_.rows = relaxation_.most_rows();
+    if (answer_.finished) answer_.bound = std::max(answer_.bound, limit_ + 1);
   }
 
  private:
-  [[nodiscard]] int p(int i, int m) const { return p_column_[at(i) * at(p_.num_xpus) + at(m)]; }
-  [[nodiscard]] double w(int i, int m) const {
-    return static_cast<double>(p_.wcet_on(i, m)) / unit_;
-  }
-  [[nodiscard]] bool before(int i, int j) const { return reaches_[at(i)][at(j)] != 0; }
-  [[nodiscard]] bool can(int i, int m) const { return p(i, m) > 0; }
+  using Window = IlpWindow;
 
-  void columns() {
-    makespan_ = model_.add_column("T", 0, kHorizon);
-    const std::vector<Time> heads = static_heads(p_), tails = static_tails(p_),
-                            least = least_wcet(p_);
-    for (int i = 0; i < p_.num_xnodes; ++i) {
-      const auto head = static_cast<double>(heads[at(i)]), tail = static_cast<double>(tails[at(i)]);
-      const auto shortest = static_cast<double>(least[at(i)]);
-      const double limit = static_cast<double>(horizon_);
-      s_.push_back(
-          model_.add_column(tag("s", {i}), head / unit_, (limit - tail - shortest) / unit_));
-      f_.push_back(
-          model_.add_column(tag("f", {i}), (head + shortest) / unit_, (limit - tail) / unit_));
+  bool refuted(IlpNode& node, Time limit, std::vector<Window>& windows) {
+    if (!ranges_.tighten(node, limit)) {
+      ++answer_.by_ranges;
+      return true;
     }
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      for (int m = 0; m < p_.num_xpus; ++m)
-        p_column_.push_back(p_.wcet_on(i, m) == kCannotRun ? 0
-                                                           : model_.add_binary(tag("p", {i, m})));
-  }
-
-  void equation_1() {
-    for (int i = 0; i < p_.num_xnodes; ++i) {
-      std::vector<Term> row;
-      for (int m = 0; m < p_.num_xpus; ++m)
-        if (can(i, m)) row.push_back({p(i, m), 1});
-      model_.equal(tag("eq1", {i}), row, 1);
-    }
-  }
-
-  void equation_2() {
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      for (const int j : p_.pred[at(i)])
-        model_.at_least(tag("eq2", {i, j}), {{s_[at(i)], 1}, {f_[at(j)], -1}}, 0);
-  }
-
-  /// Exactly one p_i^m is 1, so the conditions of all m join in one row, tighter than a big M each.
-  void equation_3() {
-    for (int i = 0; i < p_.num_xnodes; ++i) {
-      std::vector<Term> row = {{f_[at(i)], 1}, {s_[at(i)], -1}};
-      for (int m = 0; m < p_.num_xpus; ++m)
-        if (can(i, m)) row.push_back({p(i, m), -w(i, m)});
-      model_.at_least(tag("eq3", {i}), row, 0);
-    }
-  }
-
-  /// Of instances that nothing tells apart, neither their properties nor who may run there, the
-  /// r-th is open to an XNode only if an XNode ahead of it (in topological order) has the (r-1)-th.
-  void symmetry() {
-    for (int m = 1; m < p_.num_xpus; ++m) {
-      if (p_.xpu_type[at(m)] != p_.xpu_type[at(m - 1)] ||
-          p_.preemptive[at(m)] != p_.preemptive[at(m - 1)] ||
-          p_.preempt[at(m)] != p_.preempt[at(m - 1)] || p_.levels[at(m)] != p_.levels[at(m - 1)] ||
-          !open_alike(m - 1, m))
-        continue;
-      std::vector<Term> ahead;
-      for (const int i : p_.topo) {
-        if (!can(i, m)) continue;
-        std::vector<Term> row = ahead;
-        row.push_back({p(i, m), -1});
-        model_.at_least(tag("symmetry", {i, m}), row, 0);
-        ahead.push_back({p(i, m - 1), 1});
-      }
-    }
-  }
-
-  [[nodiscard]] bool open_alike(int x, int y) const {
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      if (p_.wcet_on(i, x) != p_.wcet_on(i, y)) return false;
+    if (all_decided(node) || !relaxation_.refuted(node, windows, until_)) return false;
+    ++answer_.by_lp;
     return true;
   }
 
-  /// a_ik = 1 if s_i <= s_k; b_kj = 1 if f_k <= f_j; c_ij = 1 if s_i <= f_j. Times are whole
-  /// microseconds (docs/ilp.md), so "not" is a difference of at least one. 0: fixed to 0; -1: fixed
-  /// to 1.
-  void ordering() {
-    const int n = p_.num_xnodes;
-    a_.assign(at(n) * at(n), -1);
-    b_ = c_ = a_;
-    for (int i = 0; i < n; ++i)
-      for (int k = 0; k < n; ++k) {
-        if (i == k) continue;
-        const std::size_t cell = at(i) * at(n) + at(k);
-        if (before(i, k)) continue;  // s_i < s_k, f_i < f_k, s_i < f_k
-        if (before(k, i)) {
-          a_[cell] = b_[cell] = c_[cell] = 0;
-          continue;
-        }
-        a_[cell] = model_.add_binary(tag("a", {i, k}));
-        model_.at_least(tag("eq4a", {i, k}),
-                        {{s_[at(i)], 1}, {s_[at(k)], -1}, {a_[cell], kHorizon + one_}}, one_);
-        b_[cell] = model_.add_binary(tag("b", {i, k}));
-        model_.at_least(tag("eq4b", {i, k}),
-                        {{f_[at(i)], 1}, {f_[at(k)], -1}, {b_[cell], kHorizon + one_}}, one_);
-        c_[cell] = model_.add_binary(tag("c", {i, k}));
-        model_.at_least(tag("eq5c", {i, k}),
-                        {{s_[at(i)], 1}, {f_[at(k)], -1}, {c_[cell], kHorizon + one_}}, one_);
-        // s_i <= s_k implies s_i <= f_k.
-        model_.at_least(tag("eq5ac", {i, k}), {{c_[cell], 1}, {a_[cell], -1}}, 0);
-      }
+  /// The root alone refutes shorter and shorter makespans: what is left of a bound where time ends.
+  void raise_bound() {
+    constexpr Time kPart = 2000;  // of the makespan: how close; chosen
+    Time low = answer_.bound, high = limit_;
+    while (low <= high && !until_.over()) {
+      const Time guess = high == limit_ ? high : low + (high - low) / 2;
+      if (guess != limit_ && high - low < std::max<Time>(1, high / kPart)) break;
+      IlpNode node = ranges_.root(guess);
+      std::vector<Window> windows;
+      if (refuted(node, guess, windows))
+        low = guess + 1;
+      else
+        high = guess - 1;
+    }
+    answer_.bound = std::max(answer_.bound, low);
   }
 
-  void equations_4_and_5() {
-    const int n = p_.num_xnodes;
-    for (int m = 0; m < p_.num_xpus; ++m)
-      for (int i = 0; i < n; ++i)
-        for (int j = 0; j < n; ++j) {
-          const std::size_t ij = at(i) * at(n) + at(j);
-          if (!can(i, m) || !can(j, m) || c_[ij] == 0) continue;
-          std::vector<Term> capacity = {{f_[at(j)], -1}, {s_[at(i)], 1}};
-          for (int k = 0; k < n; ++k) {
-            const int a = a_[at(i) * at(n) + at(k)], b = b_[at(k) * at(n) + at(j)];
-            if (!can(k, m) || a == 0 || b == 0) continue;
-            // d >= wcet_k (p_i + p_j + p_k + a_ik + b_kj - 4); what is fixed to 1 or equal drops
-            // out.
-            const int d = model_.add_column(tag("d", {i, j, k, m}), 0, kHorizon);
-            std::vector<Term> row = {{d, 1}};
-            double ones = 0;
-            const auto when = [&](int column) {
-              row.push_back({column, -w(k, m)});
-              ones += 1;
-            };
-            when(p(i, m));
-            if (j != i) when(p(j, m));
-            if (k != i && k != j) when(p(k, m));
-            if (a > 0) when(a);
-            if (b > 0) when(b);
-            model_.at_least(tag("eq4", {i, j, k, m}), row, -w(k, m) * (ones - 1));
-            capacity.push_back({d, 1});
-          }
-          // sum d <= f_j - s_i where i and j are on m and s_i <= f_j; a big M for each that fails.
-          double right = 0;
-          const auto unless = [&](int column) {
-            capacity.push_back({column, kHorizon});
-            right += kHorizon;
-          };
-          unless(p(i, m));
-          if (j != i) unless(p(j, m));
-          if (c_[ij] > 0) unless(c_[ij]);
-          model_.at_most(tag("eq5", {i, j, m}), capacity, right);
-        }
-  }
-
-  void equation_6() {
-    const std::vector<Time> tails = static_tails(p_);
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      model_.at_least(
-          tag("eq6", {i}), {{makespan_, 1}, {f_[at(i)], -1}},
-          static_cast<double>(tails[at(i)]) / unit_);  // 0 in the paper; no solution is lost
-    model_.minimise(makespan_);
-  }
-
-  /// Not in the paper, implied by it: the relaxation is nearly empty without them. What has a head
-  /// >= h and a tail >= q and is on m fits there between h and T - q; of two XNodes one starts
-  /// (ends) no later.
-  void cuts() {
-    const std::vector<Time> heads = static_heads(p_), tails = static_tails(p_);
-    for (int m = 0; m < p_.num_xpus; ++m) {
-      std::set<std::vector<int>> seen;
+  /// Each class of each XNode alone: what is refuted is left out of the root. False: nothing is left.
+  bool probe(IlpNode& root, std::vector<Window>& windows) {
+    for (bool changed = true; changed && !until_.over();) {
+      changed = false;
+      if (refuted(root, limit_, windows)) return false;
       for (int i = 0; i < p_.num_xnodes; ++i)
-        for (int j = 0; j < p_.num_xnodes; ++j) {
-          std::vector<int> members;
-          for (int k = 0; k < p_.num_xnodes; ++k)
-            if (can(k, m) && heads[at(k)] >= heads[at(i)] && tails[at(k)] >= tails[at(j)])
-              members.push_back(k);
-          if (members.size() < 2 || !seen.insert(members).second) continue;
-          std::vector<Term> row = {{makespan_, 1}};
-          Time h = horizon_, q = horizon_;
-          for (const int k : members) {
-            row.push_back({p(k, m), -w(k, m)});
-            h = std::min(h, heads[at(k)]);
-            q = std::min(q, tails[at(k)]);
-          }
-          model_.at_least(tag("cut_load", {i, j, m}), row, static_cast<double>(h + q) / unit_);
+        for (std::uint64_t left = root.classes[at(i)]; left != 0; left &= left - 1) {
+          if (std::has_single_bit(root.classes[at(i)]) || until_.over()) break;
+          IlpNode trial = root;
+          trial.classes[at(i)] = left & -left;
+          std::vector<Window> to_try = windows;
+          if (!refuted(trial, limit_, to_try)) continue;
+          root.classes[at(i)] &= ~(left & -left);
+          changed = true;
+          if (!ranges_.tighten(root, limit_)) return false;
         }
     }
-    const int n = p_.num_xnodes;
-    for (int i = 0; i < n; ++i)
-      for (int k = 0; k < i; ++k) {
-        const std::size_t ik = at(i) * at(n) + at(k), ki = at(k) * at(n) + at(i);
-        if (a_[ik] <= 0 || a_[ki] <= 0) continue;
-        model_.at_least(tag("cut_a", {i, k}), {{a_[ik], 1}, {a_[ki], 1}}, 1);
-        model_.at_least(tag("cut_b", {i, k}), {{b_[ik], 1}, {b_[ki], 1}}, 1);
+    return true;
+  }
+
+  void descend(IlpNode node, std::vector<Window> windows) {
+    if (until_.over()) return;
+    ++answer_.nodes;
+    if (refuted(node, limit_, windows)) {
+      if (branched_ >= 0) weight_[at(branched_)] += 1;
+      return;
+    }
+    if (!all_decided(node)) return decide(node, windows);
+    branched_ = -1;
+    if (const int i = to_place(node); i >= 0) return place(node, i);
+    if (!try_as_schedule(node)) return;
+    relate(node);
+  }
+
+  bool all_decided(const IlpNode& node) const {
+    return std::all_of(node.classes.begin(), node.classes.end(),
+                       [](std::uint64_t left) { return std::has_single_bit(left); });
+  }
+
+  /// The p of one XNode, of the class with the largest share first.
+  void decide(const IlpNode& node, const std::vector<Window>& windows) {
+    int chosen = -1;
+    double most = 0;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      if (std::has_single_bit(node.classes[at(i)])) continue;
+      double largest = 0;
+      for (std::size_t c = 0; c < ranges_.classes().size(); ++c)
+        largest = std::max(largest, relaxation_.share(i, static_cast<int>(c)));
+      constexpr double kWhole = 1e-3;  // what a share that is whole counts
+      const double score = weight_[at(i)] * (kWhole + 1 - std::min(1.0, largest));
+      if (score <= most) continue;
+      most = score;
+      chosen = i;
+    }
+    std::vector<std::pair<double, int>> order;
+    for (std::uint64_t left = node.classes[at(chosen)]; left != 0; left &= left - 1) {
+      const int c = std::countr_zero(left);
+      order.emplace_back(-relaxation_.share(chosen, c), c);
+    }
+    std::sort(order.begin(), order.end());
+    for (const auto& [share, c] : order) {
+      IlpNode child = node;
+      child.classes[at(chosen)] = std::uint64_t{1} << c;
+      branched_ = chosen;
+      descend(std::move(child), windows);
+    }
+  }
+
+  [[nodiscard]] int met(const IlpNode& node, int i) const {
+    int others = 0;
+    for (int j = 0; j < p_.num_xnodes; ++j)
+      others += j != i && node.classes[at(j)] == node.classes[at(i)] && IlpRanges::meet(node, i, j);
+    return others;
+  }
+
+  /// The XNode with the least room of those that so many others may meet that none of its instances is certain to be free.
+  [[nodiscard]] int to_place(const IlpNode& node) const {
+    int found = -1;
+    Time tightest = 0;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      const int c = ranges_.class_of(node, i);
+      if (node.place[at(i)] >= 0 ||
+          met(node, i) < static_cast<int>(ranges_.classes()[at(c)].size()))
+        continue;
+      const Time room = node.d[at(i)] - node.r[at(i)] - ranges_.wcet(i, c);
+      if (found >= 0 && room >= tightest) continue;
+      found = i;
+      tightest = room;
+    }
+    return found;
+  }
+
+  /// Of instances that have nobody yet, one.
+  void place(const IlpNode& node, int i) {
+    for (const int x : ranges_.classes()[at(ranges_.class_of(node, i))]) {
+      const bool fresh = std::find(node.place.begin(), node.place.end(), x) == node.place.end();
+      IlpNode child = node;
+      child.place[at(i)] = x;
+      descend(std::move(child), {});
+      if (fresh) break;
+    }
+  }
+
+  /// Who has no instance yet finds one that nobody whom it meets is on.
+  [[nodiscard]] std::vector<int> places(const IlpNode& node) const {
+    std::vector<int> place = node.place;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      if (place[at(i)] >= 0) continue;
+      for (const int x : ranges_.classes()[at(ranges_.class_of(node, i))]) {
+        bool taken = false;
+        for (int j = 0; j < p_.num_xnodes; ++j)
+          taken = taken || (j != i && place[at(j)] == x && IlpRanges::meet(node, i, j));
+        if (taken) continue;
+        place[at(i)] = x;
+        break;
       }
+    }
+    return place;
+  }
+
+  /// The shortest schedule of the b that are decided, if all are: priorities by latest finish. False: the node ends.
+  bool try_as_schedule(IlpNode& node) {
+    Decision decision{places(node), {}, {}};
+    for (;;) {
+      std::vector<int> order(at(p_.num_xnodes));
+      std::iota(order.begin(), order.end(), 0);
+      const auto rank = [&](int i) {
+        return std::pair(node.d[at(i)], std::popcount(node.no_later[at(i)]));
+      };
+      std::stable_sort(order.begin(), order.end(), [&](int i, int j) { return rank(i) < rank(j); });
+      decision.priority.assign(at(p_.num_xnodes), 0);
+      for (std::size_t k = 0; k < order.size(); ++k)
+        decision.priority[at(order[k])] = p_.num_xnodes - static_cast<int>(k);
+      const Simulation simulation = simulate(free_, decision);
+      if (simulation.makespan > limit_) return true;
+      found(decision, simulation);
+      if (!ranges_.tighten(node, limit_)) return false;
+    }
+  }
+
+  /// A schedule of the model. Its finishes, or its starts, which preempt less, give the policy its priorities.
+  void found(const Decision& decision, const Simulation& simulation) {
+    answer_.model_makespan = simulation.makespan;
+    limit_ = simulation.makespan - 1;
+    for (const auto* key : {&simulation.finish, &simulation.start}) {
+      const Decision policy{decision.xpu, priorities_by_key(*key), {}};
+      const Time makespan = simulate(p_, policy).makespan;
+      if (makespan >= answer_.makespan) continue;
+      answer_.decision = policy;
+      answer_.makespan = makespan;
+    }
+    limit_ = std::min(limit_, answer_.makespan - 1);
+  }
+
+  /// b of the two that have the least room beside each other, either way.
+  void relate(const IlpNode& node) {
+    int first = -1, second = -1;
+    Time tightest = 0;
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      for (int k = i + 1; k < p_.num_xnodes; ++k) {
+        if (node.place[at(i)] < 0 || node.place[at(i)] != node.place[at(k)] ||
+            (node.no_later[at(i)] >> k & 1U) != 0 || (node.no_later[at(k)] >> i & 1U) != 0)
+          continue;
+        const Time both = std::min(node.r[at(i)], node.r[at(k)]) +
+                          ranges_.wcet(i, ranges_.class_of(node, i)) +
+                          ranges_.wcet(k, ranges_.class_of(node, k));
+        const Time room = node.d[at(i)] + node.d[at(k)] - 2 * both;
+        if (first >= 0 && room >= tightest) continue;
+        first = i;
+        second = k;
+        tightest = room;
+      }
+    if (first < 0) return;  // all are decided, and their schedule is too long
+    if (node.d[at(second)] < node.d[at(first)]) std::swap(first, second);
+    for (const auto& [i, k] : {std::pair(first, second), std::pair(second, first)}) {
+      IlpNode child = node;
+      child.no_later[at(k)] |= std::uint64_t{1} << i;
+      descend(std::move(child), {});
+    }
   }
 
   const Problem& p_;
-  const double unit_, one_;  ///< microseconds per model unit; one microsecond in model units
-  const Time horizon_;
-  std::vector<std::vector<char>> reaches_;
-  IlpModel model_;
-  int makespan_ = 0;
-  std::vector<int> s_, f_, p_column_, a_, b_, c_;
+  const Problem free_;
+  IlpAnswer& answer_;
+  const Until until_;
+  IlpRanges ranges_;
+  IlpRelaxation relaxation_;
+  std::vector<double> weight_;  ///< [xnode] how often deciding its class was refuted at once
+  int branched_ = -1;           ///< whose class was decided last; -1: something else was
+  Time limit_;                  ///< what is longer is of no interest
 };
 
 }  // namespace
 
 Result<IlpAnswer> solve_ilp(const Problem& problem, const IlpOptions& options) {
-  if (problem.num_xnodes > kMaxXNodes)
+  if (problem.num_xnodes > kMostOfModel)
     return fail(ErrorCode::kInvalid,
                 std::to_string(problem.num_xnodes) +
-                    " XNodes are too many for the paper's model, " + std::to_string(kMaxXNodes) +
+                    " XNodes are too many for the paper's model, " + std::to_string(kMostOfModel) +
                     " are the most",
                 "method ilp", "take method auto: it proves more, faster");
+  const Until until{std::chrono::steady_clock::now() +
+                        std::chrono::microseconds(static_cast<std::int64_t>(
+                            std::clamp(options.time_limit_s, 0.0, kNoLimitS) * 1e6)),
+                    options.stop};
   IlpAnswer answer;
   answer.decision = options.incumbent ? *options.incumbent : heft(problem);
   answer.makespan = simulate(problem, *answer.decision).makespan;
-  answer.bound = std::max(options.known_bound, quick_bound(problem));
-  if (answer.bound >= answer.makespan) {
-    answer.bound = answer.makespan;
+  answer.bound = std::min(answer.makespan, std::max(options.known_bound, quick_bound(problem)));
+  if (answer.bound == answer.makespan) {
     answer.proven = answer.finished = true;
     answer.status = "optimal before the model: the incumbent meets the bound";
     return answer;
   }
-  // Only what is shorter than the incumbent is of interest: that is the warm start, and it makes
-  // the horizon, hence every big M, as small as it can be.
-  PaperModel paper(problem, answer.makespan);
-  paper.bound_makespan(answer.bound, answer.makespan - 1);
-  answer.rows = paper.model().rows();
-  answer.columns = paper.model().columns();
-  if (!options.write_model.empty() && !paper.model().write(options.write_model))
-    return fail(ErrorCode::kIo, "cannot write the model", options.write_model);
-  const IlpModel::Outcome outcome = paper.model().solve(options.time_limit_s, options.stop);
-  answer.nodes = paper.model().nodes();
-  using Outcome = IlpModel::Outcome;
-  if (outcome == Outcome::kOptimal || outcome == Outcome::kFeasible) {
-    answer.model_makespan = paper.makespan();
-    for (const bool by_start : {false, true}) {
-      Decision found = paper.decision(by_start);
-      const Time makespan = simulate(problem, found).makespan;
-      if (makespan >= answer.makespan) continue;
-      answer.decision = std::move(found);
-      answer.makespan = makespan;
-    }
+  if (!options.write_model.empty()) {
+    PaperModel paper(problem, answer.makespan);
+    paper.bound_makespan(answer.bound, answer.makespan - 1);
+    if (!paper.model().write(options.write_model))
+      return fail(ErrorCode::kIo, "cannot write the model", options.write_model);
   }
-  answer.finished = outcome == Outcome::kOptimal || outcome == Outcome::kInfeasible;
-  if (outcome == Outcome::kOptimal) answer.bound = std::max(answer.bound, answer.model_makespan);
-  if (outcome == Outcome::kInfeasible) answer.bound = answer.makespan;
+  BranchAndCut(problem, answer, until).run();
   answer.bound = std::min(answer.bound, answer.makespan);
   answer.proven = answer.bound == answer.makespan;
-  switch (outcome) {
-    case Outcome::kOptimal:
-      answer.status = "optimal";
-      break;
-    case Outcome::kInfeasible:
-      answer.status = "nothing is shorter than the incumbent";
-      break;
-    case Outcome::kFeasible:
-      answer.status = "feasible";
-      break;
-    case Outcome::kTimeLimit:
-      answer.status = "time limit";
-      break;
-    case Outcome::kStopped:
-      answer.status = "stopped";
-      break;
-    case Outcome::kFailed:
-      answer.status = "lp_solve gave up";
-      break;
-  }
+  if (!answer.finished)
+    answer.status = options.stop != nullptr && options.stop->load() ? "stopped" : "time limit";
+  else if (answer.model_makespan == 0)
+    answer.status = "nothing is shorter than the incumbent";
+  else
+    answer.status = "optimal";
   return answer;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The paper's model, equations 1-6, on lp_solve: complete, and good for tiny cases only. Written out row by
-// row in docs/ilp.md.
+// The paper's model, equations 1-6, on lp_solve, by branch and cut: of equations 4 and 5 only the windows that a
+// solution violates. Every row, and how it is solved, is in docs/ilp.md.
 //
 // Threads: each call owns its model; lp_solve is not shared between calls.
 #pragma once
@@ -16,12 +16,12 @@ namespace xauto::solver {
 
 struct IlpOptions {
   double time_limit_s = 60;
-  const std::atomic<bool>* stop = nullptr;  ///< polled by lp_solve's abort callback
+  const std::atomic<bool>* stop = nullptr;
   /// A known answer: its makespan cuts off everything longer, and what is found starts from it.
   std::optional<Decision> incumbent = std::nullopt;
   /// A lower bound known from elsewhere; 0: none.
   Time known_bound = 0;
-  /// If not empty, the model is written there in lp_format before it is solved (*.mps: free MPS).
+  /// If not empty, the whole model is written there in lp_format before it is solved (*.mps: free MPS).
   std::string write_model = {};
 };
 
@@ -29,16 +29,21 @@ struct IlpAnswer {
   std::optional<Decision> decision;  ///< as found, or the incumbent if nothing better was found
   Time makespan = 0;                 ///< of `decision`, by the simulator
   Time model_makespan = 0;           ///< what the model says it takes; 0 if it found nothing
-  Time bound = 0;                    ///< no schedule is shorter
+  Time bound = 0;                    ///< no policy is shorter
   bool proven = false;               ///< makespan == bound
   bool finished = false;             ///< the model was solved to its end
   std::int64_t nodes = 0;
-  int rows = 0, columns = 0;
+  std::int64_t by_lp =
+      0;  ///< nodes, and what is asked at the root, that lp_solve's LPs have refuted
+  std::int64_t by_ranges = 0;  ///< that needed no LP
+  std::int64_t lps = 0;        ///< that lp_solve has solved
+  int rows = 0;                ///< of the largest of them
   std::string
-      status;  ///< "optimal", "infeasible below the incumbent", "time limit", "stopped", ...
+      status;  ///< "optimal", "nothing is shorter than the incumbent", "time limit", "stopped", ...
 };
 
-/// Errors: kInvalid if the model would be too large (rows are O(n^3 m)).
+/// Errors: kInvalid if the model would be too large (rows are O(n^3 m)); kIo. An LP that lp_solve cannot solve refutes
+/// nothing, and the search goes on: it ends at the limit, when told, or when all is proven.
 [[nodiscard]] Result<IlpAnswer> solve_ilp(const Problem& problem, const IlpOptions& options = {});
 
 }  // namespace xauto::solver

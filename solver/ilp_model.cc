@@ -3,14 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 
 #include <lpsolve/lp_lib.h>
 
 #include "base/index.h"
 
 namespace xauto::solver {
-namespace {}  // namespace
-
 IlpModel::IlpModel() : lp_(make_lp(0, 0)) {
   set_verbose(lp_, NEUTRAL);
   set_add_rowmode(lp_, FALSE);
@@ -25,8 +24,10 @@ int IlpModel::add_column(const std::string& name, double low, double high) {
   int row = 0;
   add_columnex(lp_, 0, &value, &row);
   ++columns_;
-  std::string copy = name;
-  set_col_name(lp_, columns_, copy.data());
+  if (!name.empty()) {
+    std::string copy = name;
+    set_col_name(lp_, columns_, copy.data());
+  }
   set_bounds(lp_, columns_, low, high);
   return columns_;
 }
@@ -69,6 +70,7 @@ void IlpModel::add_row(const std::string& name, const std::vector<Term>& terms, 
   }
   add_constraintex(lp_, static_cast<int>(scratch_columns_.size()), scratch_factors_.data(),
                    scratch_columns_.data(), type, right);
+  if (name.empty()) return;
   std::string copy = name;
   set_row_name(lp_, get_Nrows(lp_), copy.data());
 }
@@ -97,16 +99,42 @@ int IlpModel::asked_to_stop(_lprec*, void* self) {
   return model->stopped_ || model->out_of_time_ ? TRUE : FALSE;
 }
 
-IlpModel::Outcome IlpModel::solve(double time_limit_s, const std::atomic<bool>* stop) {
+void IlpModel::abort_at(std::chrono::steady_clock::time_point deadline,
+                        const std::atomic<bool>* stop) {
   stop_ = stop;
   stopped_ = out_of_time_ = false;
-  deadline_ = std::chrono::steady_clock::now() +
-              std::chrono::microseconds(
-                  static_cast<std::int64_t>(std::clamp(time_limit_s, 0.0, 1e7) * 1e6));
+  deadline_ = deadline;
+  put_abortfunc(lp_, &IlpModel::asked_to_stop, this);
+}
+
+bool IlpModel::solve_relaxed(const Until& until) {
+  abort_at(until.deadline, until.stop);
+  if (::solve(lp_) != OPTIMAL) return false;
+  values_.resize(at(columns_));
+  get_variables(lp_, values_.data());
+  return true;
+}
+
+IlpModel::Basis IlpModel::basis() const {
+  const int rows = get_Nrows(lp_);
+  Basis basis{std::vector<char>(at(rows), 0), std::vector<char>(at(columns_), 0)};
+  std::vector<int> variables(at(rows) + 1, 0);
+  if (get_basis(lp_, variables.data(), FALSE) == FALSE) return basis;
+  for (int k = 1; k <= rows; ++k) {
+    const int variable = std::abs(variables[at(k)]);
+    if (variable == 0) continue;
+    (variable <= rows ? basis.slack[at(variable - 1)] : basis.column[at(variable - rows - 1)]) = 1;
+  }
+  return basis;
+}
+
+IlpModel::Outcome IlpModel::solve(double time_limit_s, const std::atomic<bool>* stop) {
+  abort_at(std::chrono::steady_clock::now() + std::chrono::microseconds(static_cast<std::int64_t>(
+                                                  std::clamp(time_limit_s, 0.0, 1e7) * 1e6)),
+           stop);
   // Whole seconds are all that set_timeout knows; the callback is precise, the timeout is the net
   // below it.
   set_timeout(lp_, static_cast<long>(std::ceil(std::clamp(time_limit_s, 0.0, 1e7))) + 1);
-  put_abortfunc(lp_, &IlpModel::asked_to_stop, this);
   set_bb_floorfirst(lp_, BRANCH_CEILING);
   set_bb_rule(lp_, NODE_FIRSTSELECT);
   default_basis(lp_);

@@ -3,11 +3,12 @@
 // Private to ilp*.cc.
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <string>
 #include <vector>
 
-#include "solver/ilp.h"
+#include "solver/until.h"
 
 // lp_solve's header drags macros along (TRUE, EQ, ...); it stays in ilp_model.cc.
 struct _lprec;
@@ -31,7 +32,7 @@ class IlpModel {
   IlpModel(const IlpModel&) = delete;
   IlpModel& operator=(const IlpModel&) = delete;
 
-  /// Continuous, within [low, high].
+  /// Continuous, within [low, high]. Names may be empty.
   int add_column(const std::string& name, double low, double high);
   int add_binary(const std::string& name);
   /// sum of terms >= right / <= right / = right.
@@ -43,6 +44,14 @@ class IlpModel {
   void minimise(const std::vector<Term>& terms);  ///< each column once
 
   [[nodiscard]] Outcome solve(double time_limit_s, const std::atomic<bool>* stop);
+  /// The relaxation, from the last basis on where there is one. True: values and basis are its optimum's.
+  [[nodiscard]] bool solve_relaxed(const Until& until);
+  /// Which rows have slack in the basis, and which columns are in it; each [row or column - 1]. lp_solve's own multipliers
+  /// are not to be had: asked for, it crashes where a solve is aborted.
+  struct Basis {
+    std::vector<char> slack, column;
+  };
+  [[nodiscard]] Basis basis() const;
   [[nodiscard]] double value(int column) const {
     return values_[static_cast<std::size_t>(column - 1)];
   }
@@ -52,6 +61,7 @@ class IlpModel {
   [[nodiscard]] bool write(const std::string& path);  ///< *.mps: free MPS, else lp_format
 
  private:
+  void abort_at(std::chrono::steady_clock::time_point deadline, const std::atomic<bool>* stop);
   void add_row(const std::string& name, const std::vector<Term>& terms, int type, double right);
 
   _lprec* lp_;

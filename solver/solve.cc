@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <chrono>
 
+#include <fmt/format.h>
+
 #include "solver/auto.h"
 #include "solver/bounds.h"
 #include "solver/certify.h"
@@ -13,6 +15,7 @@
 #include "solver/exact.h"
 #include "solver/heft.h"
 #include "solver/ilp.h"
+#include "solver/ilp_ranges.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
@@ -116,25 +119,73 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
     report.feasibility = Feasibility::kImpossible;
 }
 
-/// Starts from the best quick answer, and keeps it where the model finds no better one.
-Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decision& decision,
-                    Time& bound, const Until& until, const std::function<void(Time)>& note_first) {
-  constexpr int kMost = 14;  // beyond, lp_solve does not even find an incumbent
-  if (problem.num_xnodes > kMost)
+constexpr double kForIncumbent = 0.1, kMostForIncumbentS = 2;  ///< of method ilp; chosen
+
+std::string ms(Time us) {
+  return fmt::format("{:.3f} ms", static_cast<double>(us) / 1000);
+}
+
+/// Who has proven what, after the model.
+std::string words_of(const IlpAnswer& answer) {
+  if (answer.finished && answer.nodes + answer.by_lp + answer.by_ranges == 0)
+    return "optimal before the model: the search's answer meets its own bound";
+  const std::string work = fmt::format(
+      "{} nodes; lp_solve's {} LPs refuted {} of them and of what was asked at the root, ranges "
+      "alone {}",
+      answer.nodes, answer.lps, answer.by_lp, answer.by_ranges);
+  if (!answer.finished)
+    return fmt::format("the paper's model is open after {}: not shorter than {}", work,
+                       ms(answer.bound));
+  if (answer.proven)
+    return fmt::format("the paper's model has nothing shorter than {}: {}", ms(answer.bound), work);
+  return fmt::format("the paper's model, which knows no cost of preemption, takes {}: {}",
+                     ms(answer.bound), work);
+}
+
+/// The model begins with what a short search has. What it leaves open, since it knows neither costs of preemption nor
+/// certificates, search and proof of method auto have the rest of the time for.
+Result<AutoResult> solve_by_ilp(const Problem& problem, const SolveOptions& options,
+                                const std::vector<Solution>& first, TimePoint began) {
+  if (problem.num_xnodes > kMostOfModel)
     return fail(ErrorCode::kInvalid,
-                "the paper's model is for apps of at most " + std::to_string(kMost) +
+                "the paper's model is for apps of at most " + std::to_string(kMostOfModel) +
                     " XNodes; this one has " + std::to_string(problem.num_xnodes),
                 "method ilp", "take method auto: it proves more, faster");
+  const auto left_s = [&] {
+    const std::chrono::duration<double> gone = std::chrono::steady_clock::now() - began;
+    return std::max(0.0, options.time_limit_s - gone.count());
+  };
+  SolveOptions part = options;
+  // With a budget of evaluations the clock must not decide.
+  if (options.max_evaluations == 0)
+    part.time_limit_s = std::min(kForIncumbent * options.time_limit_s, kMostForIncumbentS);
+  AutoResult result =
+      solve_in_parallel(problem, part, first, false, std::chrono::steady_clock::now());
   IlpOptions ilp;
-  ilp.time_limit_s = options.time_limit_s;
+  ilp.time_limit_s = left_s();
   ilp.stop = options.stop;
-  ilp.incumbent = to_decision(starts(problem, until).front());
-  ilp.known_bound = quick_bound(problem, until);
-  note_first(simulate(problem, *ilp.incumbent).makespan);
+  ilp.incumbent = to_decision(result.best);
+  if (result.best.ordered)
+    ilp.incumbent->order = order_pairs(problem, result.best, a_moment(problem, options));
+  ilp.known_bound = result.bound;
   XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp(problem, ilp));
-  decision = *answer.decision;
-  bound = answer.bound;
-  return {};
+  result.bound = std::max(result.bound, answer.bound);
+  std::string words = words_of(answer);
+  if (answer.makespan < result.best.makespan) result.best = to_solution(problem, *answer.decision);
+  const Solution& asked = options.certify ? result.ordered : result.best;
+  if (answer.finished && result.bound < asked.makespan && !Until{.stop = options.stop}.over()) {
+    part.time_limit_s = options.max_evaluations == 0 ? left_s() : options.time_limit_s;
+    const AutoResult more =
+        solve_in_parallel(problem, part, {result.best}, true, std::chrono::steady_clock::now());
+    result.bound = std::max(result.bound, more.bound);
+    result.evaluations += more.evaluations;
+    if (more.best.makespan < result.best.makespan) result.best = more.best;
+    if (more.ordered.makespan < result.ordered.makespan) result.ordered = more.ordered;
+    if (result.bound > answer.bound)
+      words += fmt::format("; the proof of method auto: not shorter than {}", ms(result.bound));
+  }
+  if (options.report != nullptr) options.report->proof = std::move(words);
+  return result;
 }
 
 }  // namespace
@@ -186,11 +237,15 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
   } else if (options.method == "local") {
     decision = local(problem, at_most(1));
     bound = quick_bound(problem, at_most(1));
-  } else if (searches) {
+  } else if (searches || options.method == "ilp") {
     const std::vector<Solution> first = starts(problem, at_most(kForStarts));
     note_first(first.front().makespan);
-    const AutoResult result =
-        solve_in_parallel(problem, options, first, options.method == "auto", began);
+    AutoResult result;
+    if (searches) {
+      result = solve_in_parallel(problem, options, first, options.method == "auto", began);
+    } else {
+      XAUTO_ASSIGN(result, solve_by_ilp(problem, options, first, began));
+    }
     const Solution& chosen = options.certify ? result.ordered : result.best;
     decision = to_decision(chosen);
     ordered = chosen.ordered;
@@ -200,8 +255,6 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
       options.report->evaluations = result.evaluations;
       options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
     }
-  } else if (options.method == "ilp") {
-    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound, at_most(kForStarts), note_first));
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");

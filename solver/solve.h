@@ -47,6 +47,7 @@ struct SolveReport {
   /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
   /// policy is not ordered on every XPU, this minus its latency is the cost of certifying.
   Time certified_us = 0;
+  std::string proof;  ///< method ilp: who has proven what, in words
   std::vector<ChainOutcome> chains;
   Feasibility feasibility = Feasibility::kNotAsked;  ///< of all deadlines together
 };

@@ -119,15 +119,19 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
     if (!p.released_together(0, static_cast<int>(c)))
       return fail(ErrorCode::kUnavailable, "its XNodes are not all released together", app.name);
   OneRelease whole = part_of(app, options.objectives, std::vector<char>(app.xnodes.size(), 1));
-  // The baselines have no order of their own, and know of no chains.
-  const bool keeps_order = options.method == "auto" || options.method == "search";
+  // The baselines have no order of their own, and know of no chains; nor does the paper's model know of chains.
+  const bool model = options.method == "ilp";
+  const bool keeps_order = options.method == "auto" || options.method == "search" || model;
   const bool alike = std::all_of(p.chains.begin(), p.chains.end(), [&](const Chain& c) {
     return c.deadline == p.chains.front().deadline;
   });
   // Where every end has the same deadline the last end says all, and the search for it alone is better.
-  if (keeps_order && !(alike && every_end_is_a_chain(p))) add_deadlines(app, p, whole.wishes);
+  if (keeps_order && !model && !(alike && every_end_is_a_chain(p)))
+    add_deadlines(app, p, whole.wishes);
   options.objectives = std::move(whole.wishes);
   options.certify = keeps_order;
+  SolveReport report;
+  options.report = &report;
   XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(whole.app, platform, options));
   // Nobody hears before the latest of the roots.
   const Tick late =
@@ -141,6 +145,7 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
   policy.order = plan.order;
   for (const PriorityPlacement& placed : plan.placements)
     policy.placements.push_back({placed.xpu, {placed.finish_us + late}});
+  found.proof = std::move(report.proof);
   if (!keeps_order) put_in_sequence(p, policy, plan);
   const Tick first = *std::min_element(p.root_ready.begin(), p.root_ready.end());
   if (every_end_is_a_chain(p)) found.bound = first + plan.lower_bound_us * p.scale;

@@ -16,6 +16,7 @@ struct ReleasePlan {
   Policy policy;
   /// Of the latest end of any chain, proven: no policy of keys has it earlier. 0: not known.
   Tick bound = 0;
+  std::string proof;  ///< SolveReport::proof
 };
 
 /// No claims are in it: whoever takes it certifies it. kUnavailable: XNodes are not all released together. Else

@@ -164,6 +164,7 @@ struct Seeds {
   std::vector<Seed> seeds;
   /// No policy ends all chains earlier, where all are measured alike; 0: they are not, or it is not known.
   Tick bound = 0;
+  std::string proof;  ///< Answer::proof
 };
 
 /// The plan of one release, where that is all there is, and a hint with order.
@@ -204,6 +205,7 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
   if (!plan && options.method != "auto") return tl::unexpected<Error>(plan.error());
   if (plan) {
     add(plan->policy);
+    found.proof = plan->proof;
     const bool alike = std::all_of(p.chains.begin(), p.chains.end(),
                                    [&](const Chain& c) { return c.by == p.chains.front().by; });
     if (alike) found.bound = plan->bound;
@@ -340,16 +342,18 @@ class Solving {
     for_least_ = times_.least();
     // First the plans of one release, each with its order; then what has none.
     XAUTO_ASSIGN(begins_, seeds_of(app_, platform_, p_, options_, times_.limit_s));
+    answer_.proof = begins_.proof;
     least_of_all_ = begins_.bound == 0 ? 0
                                        : static_cast<double>(begins_.bound) /
                                              static_cast<double>(p_.chains.front().by);
     for (const Seed& seed : begins_.seeds) search_around(seed);
     if (options_.method != "auto" && !planned_)
       return std::move(answer_);  // nobody asked for another plan
-    // Of a release that is alone nothing is left to look for where its plan is the shortest.
+    // Of a release that is alone nothing is left to look for where its plan is the shortest. What the paper's model
+    // leaves open, since it knows no keys, the search of keys has the rest of the time for.
     const bool shortest = planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
                           (planned_->best().figures.largest <= least_of_all_ * kSameBound ||
-                           options_.method != "auto");
+                           options_.method == "search");
     if (planned_ && !shortest && times_.limited()) prove(part_of(times_.search, kForProof));
     const Incumbents found = shortest ? search_around_shortest() : search_all();
     answer_.evaluations = round_.evaluations;

@@ -79,6 +79,7 @@ struct Answer {
   Totals totals, bounds;
   double least_largest = 0;  ///< kPolicy: that was found, of any policy
   std::vector<int> moved;    ///< XNodes that are not where the hint has them
+  std::string proof;         ///< method ilp: who has proven what of the release, in words
   double first_answer_ms = 0;
   std::int64_t evaluations = 0;
 };

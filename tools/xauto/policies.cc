@@ -185,6 +185,7 @@ std::string of_all_chains(const AppSpec& app, const keys::Answer& answer, keys::
   };
   std::string out = "\n  objective: " + aim_of(app, answer, aim) + "\n";
   if (!app.one_at_a_time) out += "    last, no claim being longer, the least typical latency\n";
+  if (!answer.proof.empty()) out += "    " + answer.proof + "\n";
   if (app.has_deadlines())
     return out + fmt::format(
                      "    largest  {:>9.1f} %   of no policy of keys less than {:.1f} %{}\n"
@@ -218,6 +219,7 @@ Json objective_of(const AppSpec& app, const keys::Answer& answer, keys::Aim aim)
                {"of", app.has_deadlines() ? "worst case / deadline" : "worst case"},
                {"largest", of(answer.totals.largest, answer.bounds.largest)},
                {"sum", of(answer.totals.sum, answer.bounds.sum)}};
+  if (!answer.proof.empty()) told["proof"] = answer.proof;
   if (aim == keys::Aim::kMix) told["least_largest_found"] = answer.least_largest;
   return told;
 }

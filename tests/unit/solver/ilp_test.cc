@@ -2,6 +2,7 @@
 #include "solver/ilp.h"
 
 #include <atomic>
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -11,7 +12,9 @@
 #include "solver/bounds.h"
 #include "solver/generate.h"
 #include "solver/objectives.h"
+#include "solver/paper_model.h"
 #include "solver/simulate.h"
+#include "solver/solve.h"
 
 #include "brute_force.h"
 #include "problem_random.h"
@@ -86,6 +89,123 @@ TEST(Ilp, PrioritiesFromFinishTimesReproduceTheModelsMakespan) {
     ASSERT_EQ(answer->makespan, answer->model_makespan) << "round " << round;
   }
   EXPECT_GT(found, 20);
+}
+
+/// A platform on which preemption is free, so that a schedule of the model is a policy.
+Platform without_costs(const char* name) {
+  Platform platform = *Platform::builtin(name);
+  for (Xpu& xpu : platform.xpus) {
+    xpu.preemptive = true;
+    xpu.preempt_us = 0;
+    xpu.levels = 0;
+  }
+  return platform;
+}
+
+/// Equations 1 to 6 as the paper has them, in integers: the first that does not hold, or "".
+std::string broken_equation(const Problem& p, const std::vector<int>& xpu,
+                            const std::vector<Time>& s, const std::vector<Time>& f, Time t) {
+  const auto broken = [](const char* equation, int i) {
+    return numbered(numbered(equation, i), 0);
+  };
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (p.wcet_on(i, xpu[at(i)]) == kCannotRun) return broken("1: ", i);
+    for (const int j : p.pred[at(i)])
+      if (s[at(i)] < f[at(j)]) return broken("2: ", i);
+    if (f[at(i)] < s[at(i)] + p.wcet_on(i, xpu[at(i)])) return broken("3: ", i);
+    if (f[at(i)] > t) return broken("6: ", i);
+    for (int j = 0; j < p.num_xnodes; ++j) {
+      if (xpu[at(i)] != xpu[at(j)] || s[at(i)] > f[at(j)]) continue;
+      Time demand = 0;
+      for (int k = 0; k < p.num_xnodes; ++k)
+        if (xpu[at(k)] == xpu[at(i)] && s[at(i)] <= s[at(k)] && f[at(k)] <= f[at(j)])
+          demand += p.wcet_on(k, xpu[at(k)]);
+      if (demand > f[at(j)] - s[at(i)]) return broken("5: ", i);
+    }
+  }
+  return "";
+}
+
+TEST(Ilp, OfTwentyXNodesAllIsProvenAndKeepsThePapersEquations) {
+  int better = 0;
+  for (const char* name : {"small", "large"})
+    for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+      GenerateOptions generating;
+      generating.nodes = 20;
+      generating.seed = seed;
+      const Problem p = *Problem::create(*generate(generating), without_costs(name));
+      const auto answer = solve_ilp(p, {.time_limit_s = 200});
+      ASSERT_TRUE(answer && answer->proven) << name << " " << seed << ": " << answer->status;
+      better += answer->model_makespan > 0;
+      const Simulation schedule = simulate(p, *answer->decision);
+      EXPECT_EQ(broken_equation(p, schedule.xpu, schedule.start, schedule.finish, answer->bound),
+                "")
+          << name << " " << seed;
+      EXPECT_NE(
+          broken_equation(p, schedule.xpu, schedule.start, schedule.finish, answer->bound - 1), "");
+    }
+  EXPECT_GT(better, 12);  // it starts from HEFT
+}
+
+TEST(Ilp, WindowByWindowIsTheWholeModel) {
+  Dice dice(21);
+  int shorter = 0;
+  for (int round = 0; round < 40; ++round) {
+    const Shape shape = free_preemption(5);
+    const Platform platform = random_platform(dice, shape);
+    const Problem p = *Problem::create(random_app(dice, shape, platform), platform);
+    IlpOptions options{.time_limit_s = 200};
+    options.incumbent = random_decision(dice, p);
+    const Time incumbent = simulate(p, *options.incumbent).makespan;
+    const auto answer = solve_ilp(p, options);
+    ASSERT_TRUE(answer && answer->finished);
+    PaperModel whole(p, incumbent);
+    whole.bound_makespan(0, incumbent - 1);
+    const IlpModel::Outcome outcome = whole.model().solve(20, nullptr);
+    if (outcome == IlpModel::Outcome::kInfeasible) {
+      EXPECT_EQ(answer->makespan, incumbent) << "round " << round;
+      continue;
+    }
+    ASSERT_EQ(outcome, IlpModel::Outcome::kOptimal) << "round " << round;
+    EXPECT_EQ(whole.makespan(), answer->makespan) << "round " << round;
+    ++shorter;
+  }
+  EXPECT_GT(shorter, 20);
+}
+
+TEST(Ilp, AgreesWithTheProofOfMethodAuto) {
+  for (const int nodes : {15, 25})
+    for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+      GenerateOptions generating;
+      generating.nodes = nodes;
+      generating.seed = 100 + seed;
+      const AppSpec app = *generate(generating);
+      const Platform platform = without_costs("small");
+      const auto other = solve(app, platform, {.time_limit_s = 60});
+      ASSERT_TRUE(other);
+      if (!other->optimal) continue;
+      IlpOptions options{.time_limit_s = 200};
+      const auto answer = solve_ilp(*Problem::create(app, platform), options);
+      ASSERT_TRUE(answer && answer->finished);
+      EXPECT_EQ(answer->makespan, other->latency_us) << nodes << " " << seed;
+      EXPECT_TRUE(answer->proven);
+    }
+}
+
+TEST(Ilp, EndsBeforeItsLimitOnlyWithAProof) {
+  for (const int nodes : {15, 40})
+    for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+      GenerateOptions generating;
+      generating.nodes = nodes;
+      generating.seed = seed;
+      const Problem p = *Problem::create(*generate(generating), *Platform::builtin("small"));
+      const auto began = std::chrono::steady_clock::now();
+      const auto answer = solve_ilp(p, {.time_limit_s = 1});
+      ASSERT_TRUE(answer);
+      const auto took = std::chrono::steady_clock::now() - began;
+      EXPECT_TRUE(answer->finished || took >= std::chrono::seconds(1)) << answer->status;
+      EXPECT_LE(answer->bound, answer->makespan);
+    }
 }
 
 TEST(Ilp, WithPreemptionCostsTheModelIsARelaxation) {
