@@ -75,10 +75,9 @@ def main():
             if not row["policy"]:
                 row["why"] = (solved.stdout + solved.stderr).strip().splitlines()[-1:]
                 continue
-            standin = ["bench_standin" if options.guest else os.path.join(options.build, "bench/bench_standin")]
             run = lambda at: ["run", "--app", at("app.json"), "--platform", "small", "--policy", at("policy.json"), "--deployment",
-                              at("d.json"), "--emulate", "--json", "--activations", str(options.releases), "--", *standin,
-                              at("app.json"), "0", str(options.slack_us)]
+                              at("d.json"), "--emulate", "--json", "--activations", str(options.releases), "--", "xauto-standin",
+                              at("app.json"), "--worst", "--slack", f"{options.slack_us}us"]
             if options.guest:
                 names = ("app.json", "policy.json", "d.json")
                 ran = guest.run(options.build, {n: path(n) for n in names}, [["xauto", *run(str)]])[0]
