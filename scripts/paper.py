@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make paper`: section 6 of the XAuto paper (arXiv 2508.09503), figure by figure, its numbers beside ours.
 
-    scripts/paper.py [--quick | --full] [--bin build] [--out build/paper] [--docs docs/paper.md]
+    scripts/paper.py [--quick | --full] [--again PART,...] [--bin build] [--out build/paper] [--docs docs/paper.md]
 
 Writes OUT/paper.json (everything that was computed, run and measured) and, by paper_page.py, OUT/index.html and OUT/paper.md.
---docs: the latter there, too. --render: only the pages, from the paper.json that is there."""
+--docs: the latter there, too. --render: only the pages, from the paper.json that is there. --again: the same, after some
+parts of it were made anew, e.g. those that ran when the machine had become quiet."""
 import argparse
 import concurrent.futures
 import json
@@ -42,9 +43,9 @@ class Sizes:
         self.run_dags = 1 if quick else 350 if full else 50
         self.releases = 2 if quick else 10 if full else 3
         self.columns = 2 if quick else 64
-        self.brute_nodes = (6, 7) if quick else range(6, 17)
+        self.brute_nodes = (6, 7) if quick else (6, 8, 10, 12, 14, 15, 16, 18, 20)
         self.brute_dags = 1 if quick else 10 if full else 5
-        self.brute_s = 2 if quick else 600 if full else 20
+        self.brute_s = 2 if quick else 600 if full else 10
         self.ilp_nodes = (6,) if quick else (6, 8, 10, 12, 14, 15, 20)
         self.ilp_dags = 1 if quick else 10 if full else 4
         self.ilp_s = 1 if quick else 60 if full else 10
@@ -138,14 +139,21 @@ class Paper:
 
     # ---- run on the emulated platform, through workers and coordinators
 
-    def compare(self, app, platform, releases, limit_s, *words):
+    def compared(self, app, platform, releases, limit_s, *words, policies="ros2,xauto"):
+        """The runs of the report, or why there are none."""
         self.stalls.take()
-        done = self.call(self.xauto, "compare", "--app", app, "--platform", platform, "--emulate", "--policies", "ros2,xauto",
+        done = self.call(self.xauto, "compare", "--app", app, "--platform", platform, "--emulate", "--policies", policies,
                          "--time-limit", f"{limit_s}s", "--activations", releases, "--json", "--out", self.work / "compare", "--",
                          "xauto-standin", app, *words, may_fail=True)
-        if not done.stdout.startswith("{"):
-            return {"failed": done.stderr.strip().splitlines()[-1][:200] if done.stderr.strip() else f"status {done.returncode}"}
-        ros2, ours = json.loads(done.stdout)["runs"]
+        if done.stdout.startswith("{"):
+            return json.loads(done.stdout)["runs"]
+        return done.stderr.strip().splitlines()[-1][:200] if done.stderr.strip() else f"status {done.returncode}"
+
+    def compare(self, app, *arguments):
+        runs = self.compared(app, *arguments)
+        if isinstance(runs, str):
+            return {"failed": runs}
+        ros2, ours = runs
         # A way through x XNodes: what each adds to the plan is the runtime's and the emulator's.
         text = json.loads(app.read_text())
         deep, waits = {}, {}
@@ -193,8 +201,15 @@ class Paper:
         """The Driving Case as it is, on an ordinary day and at its worst."""
         rows = []
         for words in ((), ("--worst",)):
-            row = self.compare(ROOT / "examples/driving/app.json", "small", self.sizes.driving, 2, *words)
-            rows.append({"times": "WCET" if words else "60 to 95 % of the WCET", **row})
+            runs = self.compared(ROOT / "examples/driving/app.json", "small", self.sizes.driving, 2, *words,
+                                 policies="ros2,heft,xauto,xauto-unscheduled")
+            if isinstance(runs, str):
+                sys.exit(f"paper: the Driving Case did not run: {runs}")
+            stall = self.stalls.take()
+            rows += [{"times": "WCET" if words else "60 to 95 % of it", "policy": r["policy"], "releases": r["activations"],
+                      "lost": r["lost_activations"], "p50_us": r["p50_us"], "p99_us": r["p99_us"], "max_us": r["max_us"],
+                      "claim_us": max((c.get("worst_case_us") or 0 for c in r["chains"]), default=0), "verdict": r["claims"]["verdict"],
+                      "coordinators_pct": r["coordinators_cpu_pct"], "stall_ms": stall} for r in runs]
         return rows
 
     def runtime(self):
@@ -212,33 +227,32 @@ class Paper:
 
     # ----
 
-    def collect(self):
-        began, data = time.monotonic(), {"schema": "xauto.paper", "version": 1, "kind": self.kind, "machine": machine(),
-                                         "sizes": {k: list(v) if isinstance(v, range) else v for k, v in vars(self.sizes).items()}}
-
-        def part(name, work):
-            at = time.monotonic()
-            print(f"paper: {name}", flush=True)
-            before = os.getloadavg()[0]
-            data[name] = work()
-            data.setdefault("load", {})[name] = [round(before, 1), round(os.getloadavg()[0], 1)]
-            data.setdefault("seconds", {})[name] = round(time.monotonic() - at, 1)
-
-        part("timelines", lambda: self.asked("timelines"))
-        part("all_on_gpu", lambda: self.asked("all-on-gpu"))
-        part("assignments", lambda: self.asked("assignments", "--time-limit", "1s"))
-
+    def parts(self, data):
+        """In this order: what is computed uses both cores, what runs has them for itself."""
         def beside(*work):
             with concurrent.futures.ThreadPoolExecutor(2) as pool:
                 return [f.result() for f in [pool.submit(w) for w in work]]
-        part("workload", lambda: sum(beside(*(lambda n=n: self.workload(n) for n in self.platforms)), []))
-        part("both", lambda: beside(self.brute, self.ilp))
-        data["brute"], data["ilp"] = data.pop("both")
-        part("runs", self.runs)
-        part("columns", lambda: self.columns(data["assignments"]))
-        part("driving", self.driving)
-        part("runtime", self.runtime)
-        data["took_s"] = round(time.monotonic() - began)
+        return {"timelines": lambda: self.asked("timelines"),
+                "all_on_gpu": lambda: self.asked("all-on-gpu"),
+                "assignments": lambda: self.asked("assignments", "--time-limit", "1s"),
+                "workload": lambda: sum(beside(*(lambda n=n: self.workload(n) for n in self.platforms)), []),
+                "optimum": lambda: dict(zip(("brute", "ilp"), beside(self.brute, self.ilp))),
+                "runs": self.runs, "columns": lambda: self.columns(data["assignments"]), "driving": self.driving,
+                "runtime": self.runtime}
+
+    def collect(self, data=None, again=()):
+        began = time.monotonic()
+        data = data or {"schema": "xauto.paper", "version": 1, "kind": self.kind, "machine": machine(), "took_s": 0, "parts": {},
+                        "sizes": {k: list(v) if isinstance(v, range) else v for k, v in vars(self.sizes).items()}}
+        for name, work in self.parts(data).items():
+            if again and name not in again:
+                continue
+            print(f"paper: {name}", flush=True)
+            at, before, said = time.monotonic(), os.getloadavg()[0], dict(machine())
+            data[name] = work()
+            data["parts"][name] = {"revision": said["revision"], "date": said["date"], "seconds": round(time.monotonic() - at, 1),
+                                   "load": [round(before, 1), round(os.getloadavg()[0], 1)]}
+        data["took_s"] = round(sum(part["seconds"] for part in data["parts"].values()) if again else time.monotonic() - began)
         return data
 
 
@@ -248,13 +262,19 @@ def main():
     which.add_argument("--quick", action="store_true", help="a minute: to see that all of it works")
     which.add_argument("--full", action="store_true", help="hours: every DAG run, long limits")
     which.add_argument("--render", action="store_true", help="the pages alone, from OUT/paper.json")
+    parser.add_argument("--again", default="", metavar="PART,...", help="these parts of OUT/paper.json anew")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build", help="the build folder")
     parser.add_argument("--out", type=pathlib.Path, default=ROOT / "build/paper")
-    parser.add_argument("--docs", type=pathlib.Path, help="the text, here too, and paper.json in results/ beside it")
+    parser.add_argument("--docs", type=pathlib.Path, help="the text, here too; paper.json in results/ and pictures in img/ beside it")
     options = parser.parse_args()
     file = options.out / "paper.json"
     if not options.render:
-        data = Paper(options).collect()
+        known = json.loads(file.read_text()) if options.again else None
+        again = [part for part in options.again.split(",") if part]
+        paper = Paper(options)
+        if unknown := set(again) - set(paper.parts({})):
+            parser.error(f"--again: no part {', '.join(sorted(unknown))}; there are {', '.join(paper.parts({}))}")
+        data = paper.collect(known, again)
         text = json.dumps(data, indent=None, separators=(",", ":"))
         file.write_text(re.sub(r"(\[\{|\},)(?=\{|\")", lambda m: m.group(0) + "\n", text) + "\n")  # a line a row
     data = json.loads(file.read_text())
@@ -264,6 +284,8 @@ def main():
     if options.docs:
         options.docs.write_text(text)
         shutil.copy(file, options.docs.parent / "results" / "paper.json")
+        for name, picture in paper_page.drawings(data).items():
+            (options.docs.parent / "img" / f"paper-{name}.svg").write_text(picture)
     print(options.out / "index.html")
 
 

@@ -174,7 +174,7 @@ Result<Json> brute_force(const Flags& flags) {
   };
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   if (flags.nodes > solver::test::BruteForce::kMaxNodes)
-    return fail(ErrorCode::kInvalid, "brute force is for 16 XNodes at most", "--nodes");
+    return fail(ErrorCode::kInvalid, "brute force is for 24 XNodes at most", "--nodes");
   XAUTO_ASSIGN(const AppSpec app, workload(flags.nodes, flags.seed, {}, platform));
   XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
   solver::SolveOptions options;
@@ -205,7 +205,7 @@ int main(int argc, char** argv) {
       .one_of({"assignments", "all-on-gpu", "timelines", "brute-force"});
   program.option("--app", flags.app, "of all but brute-force").shown();
   program.option("--platform", flags.platform).shown();
-  program.option("--nodes", flags.nodes, "of brute-force: XNodes").range(1, 16).shown();
+  program.option("--nodes", flags.nodes, "of brute-force: XNodes").range(1, 24).shown();
   program.option("--seed", flags.seed, "of brute-force: which DAG of that size").shown();
   program.duration("--time-limit", flags.time_limit_s, xauto::cli::Unit::kSeconds, 0.001,
                    xauto::cli::kYearS, "for the solver, each time");
