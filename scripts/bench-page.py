@@ -122,8 +122,8 @@ class Bench:
         took = time.monotonic() - began
         took = f"{took:.0f} seconds" if took < 120 else f"{took / 60:.0f} minutes"
         loads = sorted(self.loads) or [os.getloadavg()[0]]
-        note = (f"Load average while it ran: median {statistics.median(loads):.1f}, from {loads[0]:.1f} to {loads[-1]:.1f}, of which the "
-                f"benchmarks' own threads are a part; {os.cpu_count()} cores.")
+        note = (f"Load average while it ran: median {statistics.median(loads):.1f}, from {loads[0]:.1f} to {loads[-1]:.1f}; "
+                f"{os.cpu_count()} cores.")
         busy = statistics.median(loads) > 2 * os.cpu_count()
         head = ["# Benchmarks", "", "Written by `make bench`" + (" with `QUICK=1`: **a few repetitions, to see that it works; no result**" if self.quick else "") +
                 f", in {took}. Nothing here was measured on a Jetson.", ""]
