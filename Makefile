@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # The front door. Every target does its own set-up (as root; otherwise it says what to install).
 #   make demo    the Driving Case on an emulated Orin under four policies: table, numbers, picture
+#   make paper   section 6 of the paper, figure by figure, beside ours: build/paper/index.html
 #   make check   everything that must pass
 JOBS ?= $(shell nproc)
 BUILD ?= build

@@ -242,8 +242,10 @@ class Paper:
 
     def collect(self, data=None, again=()):
         began = time.monotonic()
-        data = data or {"schema": "xauto.paper", "version": 1, "kind": self.kind, "machine": machine(), "took_s": 0, "parts": {},
-                        "sizes": {k: list(v) if isinstance(v, range) else v for k, v in vars(self.sizes).items()}}
+        data = data or {"schema": "xauto.paper", "version": 1, "kind": self.kind, "machine": machine(), "took_s": 0, "parts": {}}
+        if data["kind"] != self.kind:
+            sys.exit(f"paper: what is there was made otherwise ({data['kind']}): its parts cannot be mixed with these ({self.kind})")
+        data["sizes"] = {k: list(v) if isinstance(v, range) else v for k, v in vars(self.sizes).items()}
         for name, work in self.parts(data).items():
             if again and name not in again:
                 continue

@@ -243,7 +243,7 @@ def brute_text(brute, limit):
     last = max(done)
     at = lambda n: f"{sum(v is not None for v in done[n])} of {len(done[n])} within {limit} s"
     return (f" Our brute force cuts what cannot be shorter. It does {at(15)} at N = 15 and {at(last)} at N = {last}; to N = 30 the line "
-            f"through log(median) gives {math.exp(start + 30 * slope):.1g} s (extrapolated). So what the paper says of brute force does not hold for this one."
+            f"through log(median) gives {math.exp(start + 30 * slope) / 3600:.1g} h (extrapolated). So what the paper says of brute force does not hold for this one."
             if 15 in done else "")
 
 
@@ -339,7 +339,7 @@ def figure_runtime(data):
                   f"Coordinators of 40 XNodes took at most {max(shares, default=0):.3f} % of a CPU. 275 and 132 µs are taken over into the "
                   "platforms; here the telling alone is measured, no Jetson was there.",
                   "275, 132 µs; below 0.5 %", f"not measurable here; at most {max(shares, default=0):.3f} %", ["case", "", "p50", "p99", "unit"], rows,
-                  short="Coordinators: yes. What a GPU and a DLA take to preempt is the platform's figure, and measured on a board alone.")
+                  short="Coordinators: yes. What preempting costs is measured on a board alone.")
 
 
 def figure_driving(data):
@@ -368,9 +368,13 @@ KINDS = {"quick": "made with QUICK=1: a few of each, to see that it works; **no 
          "full": "made by `make paper-full`"}
 
 
+def made_again(data):
+    return [f"{name}: {part['date']}, {part['revision']}" for name, part in data["parts"].items()
+            if part["revision"] != dict(data["machine"])["revision"]]
+
+
 def facts(data):
-    later = [f"{name}: {part['date']}, {part['revision']}" for name, part in data["parts"].items()
-             if part["revision"] != dict(data["machine"])["revision"]]
+    later = made_again(data)
     return [*map(tuple, data["machine"]), *([("made again", "; ".join(later))] if later else []), ("took", f"{data['took_s']} s"),
             ("solver's limit", f"{data['sizes']['solver_s']} s a DAG and platform; {data['sizes']['dags']} DAGs a group")]
 
@@ -438,13 +442,14 @@ def brief(figure):
 def markdown(data):
     """In short: the summary, what does not hold whole and why, and the numbers per N that the paper prints."""
     made, said = figures(data), dict(data["machine"])
+    again = "".join(f"Made again: {', '.join(words.split(':')[0] for words in later)}. " for later in [made_again(data)] if later)
     out = ["# Section 6 of the paper, figure by figure", wrapped(
         "Read here what of the paper's evaluation (arXiv 2508.09503) holds for XAuto. No rights are needed. `make paper` writes these and all "
         "other figures to `build/paper/index.html`, in 20 minutes; `make paper-full` has longer limits. Means of ratios are geometric. "
         "*Computed*: solved and simulated; *run*: by workers and coordinators, on emulated XPUs. No Jetson and no Core Ultra was there."),
         wrapped(f"{KINDS[data['kind']].capitalize()} in {data['took_s'] / 60:.0f} minutes, {said['date']}, revision {said['revision']}, "
                 f"{said['CPU']}, {data['sizes']['dags']} DAGs a group, {data['sizes']['solver_s']} s each. Load average of the runs "
-                f"{' to '.join(map(str, data['parts']['runs']['load']))}. Pairs are small / large. [Record](results/paper.json)."),
+                f"{' to '.join(map(str, data['parts']['runs']['load']))}. {again}Pairs are small / large. [Record](results/paper.json)."),
         table_markdown(["figure", "what ran", "paper", "here", "claim"],
                        [[brief(f), re.match(r"\w+", f.kind).group(0).lower(), f.theirs, f.ours, f.verdict] for f in made])]
     rows = []
