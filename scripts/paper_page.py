@@ -285,7 +285,7 @@ def figure_runs(data):
     for p in sorted({r["platform"] for r in data["runs"]}):
         runs, these = ran(data, p), [r for r in data["runs"] if r["platform"] == p]
         over = [100 * (r["xauto_max_us"] / r["claim_us"] - 1) for r in runs]
-        most = [r for r, o in zip(runs, over) if o > 2]
+        most = [r for r in runs if 50 * r["xauto_max_us"] > 51 * r["claim_us"]]
         above, total = above + len(most), total + len(these)
         rows.append([p, len(these), len(these) - len(runs), runs[0]["releases"] if runs else 0, sum(r["lost"] for r in runs),
                      text(statistics.median(over)) if over else "–", text(max(over)) if over else "–", len(most),
