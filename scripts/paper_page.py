@@ -243,7 +243,7 @@ def brute_text(brute, limit):
     last = max(done)
     at = lambda n: f"{sum(v is not None for v in done[n])} of {len(done[n])} within {limit} s"
     return (f" Our brute force cuts what cannot be shorter. It does {at(15)} at N = 15 and {at(last)} at N = {last}; to N = 30 the line "
-            f"through log(median) gives {math.exp(start + 30 * slope) / 3600:.1g} h (extrapolated). So what the paper says of brute force does not hold for this one."
+            f"through log(median) gives {math.exp(start + 30 * slope) / 3600:.2g} h (extrapolated). So what the paper says of brute force does not hold for this one."
             if 15 in done else "")
 
 
