@@ -37,7 +37,7 @@ def app_of(period_us, options):
             xnode["source"] = FED[xnode["name"]]
         xnode["wcet_us"] = {xpu: us * options.slower + options.slack_us for xpu, us in xnode["wcet_us"].items()}
     app.pop("deadline_us", None)
-    app.update(version=2, name="driving-pipelined",
+    app.update(version=3, name="driving-pipelined",
                sources=[{"name": n, "period_us": period_us * options.slower, "jitter_us": options.jitter_us}
                         for n in sorted(set(FED.values()))],
                modules=[{"name": m, "max_in_flight": options.in_flight} for m in sorted({x["module"] for x in app["xnodes"]})])
