@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # The front door. Every target does its own set-up (as root; otherwise it says what to install).
 #   make demo    the Driving Case on an emulated Orin under four policies: table, numbers, picture
+#   make paper   section 6 of the paper, figure by figure, beside ours: build/paper/index.html
 #   make check   everything that must pass
 JOBS ?= $(shell nproc)
 BUILD ?= build
@@ -77,6 +78,14 @@ bench:
 	@scripts/setup.sh build bench transport
 	@JOBS=$(JOBS) scripts/bench.sh $(if $(QUICK),--quick)
 
+# Section 6 of the paper, its figures beside ours: build/paper/index.html. 20 minutes; QUICK=1: half a minute, to see that it
+# works; paper-full: every DAG, long limits, hours.
+paper paper-full:
+	@scripts/setup.sh build
+	@cmake --preset release >/dev/null
+	@ninja -C build -j$(JOBS) xauto xauto-coordinator xauto-emud xauto-standin bench_paper bench_runtime bench_synthetic
+	@python3 scripts/paper.py $(if $(QUICK),--quick,$(if $(filter paper-full,$@),--full))
+
 # Whether the oldest tools that we promise (docs/dependencies.md) build it, and it works: in a Debian 11 root.
 floor-check:
 	@scripts/setup.sh build package
@@ -109,4 +118,4 @@ setup:
 clean:
 	@rm -rf build build-debug build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians perception check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench docs format tidy setup clean
+.PHONY: all build demo pedestrians perception check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench paper paper-full docs format tidy setup clean

@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 
 SOURCE = pathlib.Path(__file__).resolve().parents[1]
-PROGRAMS = ("bin/xauto", "bin/xauto-coordinator", "bin/xauto-emud", "bench/bench_standin")
+PROGRAMS = ("bin/xauto", "bin/xauto-coordinator", "bin/xauto-emud", "bin/xauto-standin")
 
 
 def run(build, files, commands, limit_s=3600, cpus=1, icount=1):

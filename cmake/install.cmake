@@ -55,7 +55,7 @@ install(FILES ${PROJECT_BINARY_DIR}/package/xauto.pc DESTINATION ${CMAKE_INSTALL
 install(DIRECTORY include/xauto DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT development FILES_MATCHING PATTERN "*.h")
 
 # Tools: xauto looks for the daemons beside itself, behind symbolic links, so only the link is in the PATH.
-set(tools xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system)
+set(tools xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system xauto-standin)
 foreach(tool ${tools})
   target_link_options(${tool} PRIVATE -Wl,-z,relro -Wl,-z,now)
 endforeach()

@@ -2,50 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the benchmarks one after the other and writes a page of their results. Called by scripts/bench.sh.
 
-Every section says what kind of number it holds: `model` (computed), `emulated` (the real runtime, stages that sleep), or
-`measured` (this machine). Of several runs the median is shown, and how far they lie apart."""
+Every section says what kind of number it holds: `model` (computed) or `measured` (this machine). Of several runs the median is shown, and how far they lie apart."""
 import argparse
-import datetime
-import html
 import json
 import os
 import pathlib
-import platform
-import shutil
 import statistics
 import subprocess
 import sys
 import textwrap
 import time
 
-ROOT = pathlib.Path(__file__).resolve().parents[1]
+from machine import ROOT, machine
+
 KINDS = {"model": "Model figures: computed, nothing ran.",
-         "emulated": "Emulated: the real runtime, with stages that sleep for as long as they are said to take.",
          "measured": "Measured on this machine."}
 # Rows that are not XAuto's: what the kernel needs for the same at least, and other people's libraries.
 OTHERS = ("futex", "bare futex", "own-", "call", "tbb", "cyclone", "iceoryx", "starpu")
-SHARE = ("The share of a CPU is that of three coordinators, their start-up left out. The follower of an order pair asks before its leader "
-         "has ended. What wakes a coordinator is a preemption within a preemption; these jobs hardly ever meet one.")
-
-
-def text_of(*command):
-    try:
-        return subprocess.run(command, capture_output=True, text=True, cwd=ROOT).stdout.strip()
-    except OSError:
-        return ""
-
-
-def machine():
-    info = pathlib.Path("/proc/cpuinfo").read_text()
-    model = next((line.split(":", 1)[1].strip() for line in info.splitlines() if line.startswith("model name")),
-                 platform.machine())
-    virtual = text_of("systemd-detect-virt", "--vm").replace("none", "") or ("yes" if "hypervisor" in info else "none seen")
-    memory = int(pathlib.Path("/proc/meminfo").read_text().split()[1]) // 1024
-    changed = text_of("git", "status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs/results")
-    return [("CPU", f"{model}, {os.cpu_count()} cores"), ("memory", f"{memory} MiB"), ("virtual machine", virtual),
-            ("kernel", platform.release()), ("compiler", text_of("c++", "--version").split("\n")[0]),
-            ("revision", (text_of("git", "rev-parse", "--short", "HEAD") or "unknown") + (", with changes" if changed else "")),
-            ("date", datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC"))]
+SHARE = "The share of a CPU is that of three coordinators, their start-up left out."
 
 
 class Failed(Exception):
@@ -83,51 +57,7 @@ class Bench:
         (self.out / name).write_text(text if text.endswith("\n") else text + "\n")
         self.page += [f"All of it: [`{name}`]({name}).", ""]
 
-    def plot(self, name, title, unit, bars):
-        """Horizontal bars with the range of the runs: [(label, value, least, greatest)]."""
-        most = max(b[3] for b in bars) * 1.15 or 1
-        x = lambda v: 190 + 520 * v / most
-        height = 52 + 30 * len(bars)
-        svg = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 800 {height}" font-family="system-ui, sans-serif" font-size="13" '
-               f'role="img" aria-label="{html.escape(title)}">', "<!-- SPDX-License-Identifier: Apache-2.0; by scripts/bench-page.py -->",
-               "<style>text{fill:#1c1f24}.bar{fill:#0b62c4}.range{stroke:#1c1f24;stroke-width:1.5}"
-               "@media (prefers-color-scheme: dark){text{fill:#e7e9ed}.bar{fill:#6cb2ff}.range{stroke:#e7e9ed}}</style>",
-               f'<text x="8" y="22" font-weight="650">{html.escape(title)}</text>']
-        for i, (label, value, least, greatest) in enumerate(bars):
-            y = 40 + 30 * i
-            svg += [f'<text x="180" y="{y + 15}" text-anchor="end">{html.escape(label)}</text>',
-                    f'<rect class="bar" x="190" y="{y}" width="{x(value) - 190:.1f}" height="20" rx="3" opacity="0.85"/>',
-                    f'<path class="range" d="M{x(least):.1f} {y + 10}H{x(greatest):.1f}"/>',
-                    f'<text x="{x(max(value, greatest)) + 8:.1f}" y="{y + 15}">{value:.2f} {html.escape(unit)}</text>']
-        (self.out / name).write_text("\n".join(svg + ["</svg>"]) + "\n")
-        self.page += [f"![{title}]({name})", ""]
-
     # ---- the benchmarks
-
-    def driving(self):
-        runs, activations = (2, 40) if self.quick else (5, 220)
-        os.environ["DRIVING_TIMES"] = "worst"  # as published
-        reports = []
-        for number in range(runs):
-            out = self.work / f"driving-{number}"
-            self.run(self.bin / "bin/xauto", "compare", "--app", "examples/driving/app.json", "--platform", "small", "--emulate",
-                     "--activations", activations, "--out", out, "--", self.bin / "bin/driving")
-            reports.append(json.loads((out / "report.json").read_text())["runs"])
-        self.section("The Driving Case", "emulated", f"{runs} runs of {activations} activations a policy; end-to-end latency in ms, the medians "
-                     "over the runs, in brackets the least and the greatest. The stage times are a "
-                     f"reconstruction ([how]({os.path.relpath(ROOT / 'docs/driving-case.md', self.out)})).")
-        rows, bars = [], []
-        for policy in zip(*reports):
-            def over(key):
-                values = [r[key] / 1000 for r in policy]
-                return statistics.median(values), min(values), max(values)
-            cells = [policy[0]["policy"]]
-            cells += ["{:.2f} ({:.2f}–{:.2f})".format(*over(k)) for k in ("p50_us", "p99_us", "max_us")]
-            cells.append(sum(r["lost_activations"] for r in policy))
-            rows.append(cells)
-            bars.append((policy[0]["policy"], *over("p99_us")))
-        self.table(["policy", "p50", "p99", "max", "lost"], rows)
-        self.plot("driving.svg", "Driving Case, emulated: p99 of the end-to-end latency", "ms", bars)
 
     def runtime(self):
         runs, rounds, seconds = (2, 40, 1) if self.quick else (3, 500, 3)
@@ -154,19 +84,6 @@ class Bench:
         self.page += textwrap.wrap(SHARE, 120, break_on_hyphens=False) + [""]
         self.text("runtime.txt", "\n".join(line for line in text.splitlines() if not line.startswith("R\t")))
 
-    def synthetic(self):
-        dags, limit = (1, 0.2) if self.quick else (50, 10)
-        out = self.work / "synthetic"
-        shutil.rmtree(out, ignore_errors=True)  # it would go on from what is there
-        text = self.run(self.bin / "bench/bench_synthetic", "--dags", dags, "--time-limit", f"{limit}s", "--out", out)
-        self.section("The synthetic workload", "model", f"{dags} DAGs a group, solver's limit {limit} s a DAG: speed-ups over ROS 2's way and HEFT, ablations, "
-                     f"gaps to the proven bound ([what it is]({os.path.relpath(ROOT / 'docs/synthetic.md', self.out)})).")
-        for plot in sorted(out.glob("*.svg")):
-            shutil.copy(plot, self.out / plot.name)
-            self.page += [f"![{plot.stem}]({plot.name})"]
-        self.page.append("")
-        self.text("synthetic.txt", text)
-
     def worst_case(self):
         policies, executions = (24, 500) if self.quick else (504, 20_000)
         text = self.run(self.bin / "bench/bench_worst_case", "--policies", policies, "--executions", executions)
@@ -189,7 +106,7 @@ class Bench:
         self.section("What `top --record` costs", "measured", f"{pairs} pair{'s' * (pairs > 1)} of emulated runs with and without it, {activations} activations each.")
         self.page += ["```", text.strip(), "```", ""]
 
-    ALL = ("driving", "runtime", "cpu_priority", "tracing", "worst_case", "synthetic")
+    ALL = ("runtime", "cpu_priority", "tracing", "worst_case")
 
     def write(self, names):
         began, failures = time.monotonic(), []
@@ -205,8 +122,8 @@ class Bench:
         took = time.monotonic() - began
         took = f"{took:.0f} seconds" if took < 120 else f"{took / 60:.0f} minutes"
         loads = sorted(self.loads) or [os.getloadavg()[0]]
-        note = (f"Load average while it ran: median {statistics.median(loads):.1f}, from {loads[0]:.1f} to {loads[-1]:.1f}, of which the "
-                f"benchmarks' own threads are a part; {os.cpu_count()} cores.")
+        note = (f"Load average while it ran: median {statistics.median(loads):.1f}, from {loads[0]:.1f} to {loads[-1]:.1f}; "
+                f"{os.cpu_count()} cores.")
         busy = statistics.median(loads) > 2 * os.cpu_count()
         head = ["# Benchmarks", "", "Written by `make bench`" + (" with `QUICK=1`: **a few repetitions, to see that it works; no result**" if self.quick else "") +
                 f", in {took}. Nothing here was measured on a Jetson.", ""]
@@ -220,7 +137,7 @@ class Bench:
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build", help="the build folder")
-    parser.add_argument("--quick", action="store_true", help="minutes instead of hours")
+    parser.add_argument("--quick", action="store_true", help="a minute instead of eight")
     parser.add_argument("--only", default=",".join(Bench.ALL), help="some of: %(default)s")
     parser.add_argument("--out", type=pathlib.Path, help="default: docs/results, with --quick build/bench/quick")
     arguments = parser.parse_args()

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# `make bench`: builds, runs every program of bench/ and the Driving Case, and writes docs/results/README.md with tables, plots, machine,
-# date and runs. Takes hours; with --quick (make bench QUICK=1) minutes, into build/bench/quick, to see that it works.
+# `make bench`: builds, runs the programs of bench/, and writes docs/results/README.md with tables, machine, date and runs. The paper's
+# figures are those of `make paper`. Takes 8 minutes; with --quick (make bench QUICK=1) one, into build/bench/quick, to see that it works.
 #   scripts/bench.sh [--quick] [--only NAME[,NAME]] [--out FOLDER]
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -106,7 +106,7 @@ style() {
 # protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (two that
 # take long there have none). CONTRIBUTING.md says what is left to `full`; so are three of UBSan's checks, which stand before each
 # access to memory: a quarter of what that build cost.
-release=(xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system driving camera integration_programs xauto_shared xauto_watch xauto_help heavy_tests test_solver)
+release=(xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system xauto-standin driving camera integration_programs xauto_shared xauto_watch xauto_help heavy_tests test_solver)
 threaded='base|trace|coord|transport|processes|runtime'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
 # They mostly wait: a quarter of their time is work.

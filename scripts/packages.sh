@@ -9,7 +9,7 @@ jobs=${JOBS:-2}
 native=$(dpkg --print-architecture)
 variant=${1:-$native}
 arch=${variant/#jetpack/arm64}
-targets="xauto_shared xauto_watch xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system xauto_help"
+targets="xauto_shared xauto_watch xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system xauto-standin xauto_help"
 case $arch in
   "$native" | arm64) ;;
   *) echo "packages: no packages for '$arch': there are $native, arm64 and jetpack" >&2; exit 2 ;;

@@ -37,7 +37,7 @@ def app_of(period_us, options):
             xnode["source"] = FED[xnode["name"]]
         xnode["wcet_us"] = {xpu: us * options.slower + options.slack_us for xpu, us in xnode["wcet_us"].items()}
     app.pop("deadline_us", None)
-    app.update(version=2, name="driving-pipelined",
+    app.update(version=3, name="driving-pipelined",
                sources=[{"name": n, "period_us": period_us * options.slower, "jitter_us": options.jitter_us}
                         for n in sorted(set(FED.values()))],
                modules=[{"name": m, "max_in_flight": options.in_flight} for m in sorted({x["module"] for x in app["xnodes"]})])
@@ -75,10 +75,9 @@ def main():
             if not row["policy"]:
                 row["why"] = (solved.stdout + solved.stderr).strip().splitlines()[-1:]
                 continue
-            standin = ["bench_standin" if options.guest else os.path.join(options.build, "bench/bench_standin")]
             run = lambda at: ["run", "--app", at("app.json"), "--platform", "small", "--policy", at("policy.json"), "--deployment",
-                              at("d.json"), "--emulate", "--json", "--activations", str(options.releases), "--", *standin,
-                              at("app.json"), "0", str(options.slack_us)]
+                              at("d.json"), "--emulate", "--json", "--activations", str(options.releases), "--", "xauto-standin",
+                              at("app.json"), "--worst", "--slack", f"{options.slack_us}us"]
             if options.guest:
                 names = ("app.json", "policy.json", "d.json")
                 ran = guest.run(options.build, {n: path(n) for n in names}, [["xauto", *run(str)]])[0]

@@ -81,10 +81,10 @@ Status bench(const Flags& flags) {
   }
   std::string means, most;
   for (const auto& of : regrets) {
-    means += fmt::format(" {:>9.3f}", mean(of));
+    means += fmt::format(" {:>9.3f}", geometric_mean(of));
     most += fmt::format(" {:>9.3f}", *std::max_element(of.begin(), of.end()));
   }
-  std::printf("  %-12s%s\n  %-12s%s\n", "mean", means.c_str(), "largest", most.c_str());
+  std::printf("  %-12s%s\n  %-12s%s\n", "geo. mean", means.c_str(), "largest", most.c_str());
   return {};
 }
 

@@ -4,7 +4,7 @@
 
 Apps of several rates, of several clocks, and of both with activations in flight (bench_keys, from a seed of their own).
 Each is solved and run twice: under fixed priorities, and under keys. XNodes take random
-times, the same in both runs (bench_standin). The certificate allows each XNode SLACK us more than what it draws, and each
+times, the same in both runs (xauto-standin). The certificate allows each XNode SLACK us more than what it draws, and each
 source JITTER us: that is what dispatch and the emulator's timers take here, as a WCET that was measured here would hold
 it. Periods and times are those of the cases times SLOWER.
 
@@ -85,8 +85,7 @@ class App:
         at = os.path.basename if options.guest else str
         self.of = ["--app", at(self.path("run.json")), "--platform", at(self.path("platform.json"))]
         self.run_flags = ["--emulate", "--json", "--duration", f"{options.seconds}s"]
-        self.program = ["--", "bench_standin" if options.guest else os.path.join(options.build, "bench/bench_standin"),
-                        at(self.path("run.json")), number + 1, options.slack_us]
+        self.program = ["--", "xauto-standin", at(self.path("run.json")), "--seed", number + 1, "--slack", f"{options.slack_us}us"]
         self.commands = {
             "fixed": ["compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit", "1s", "--out",
                       "compare" if options.guest else self.path("compare"), *self.program],

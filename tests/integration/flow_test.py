@@ -244,6 +244,41 @@ class Flow(unittest.TestCase):
                 self.good("check", "--app", self.path("g.json"), "--platform", "large", "--policy",
                           self.path("g.policy.json"))
 
+    def test_a_generated_app_runs_by_its_stand_in(self):
+        app, policy = self.path("g.json"), self.path("g.policy.json")
+        said = self.good("generate", "--nodes", 12, "--seed", 5, "--out", app)
+        self.assertIn("-- xauto-standin", said)
+        self.good("solve", "--app", app, "--platform", "small", "--time-limit", "1s", "--out", policy)
+        wcets = {x["name"]: x["wcet_us"] for x in load(app)["xnodes"]}
+        for words, least in (((), 0.6), (("--worst",), 1), (("--seed", 7, "--slack", "300us"), 0.25)):
+            # In another folder: the stand-in is found beside the tool.
+            report = json.loads(self.good("run", "--app", app, "--policy", policy, "--emulate", "--json", "--activations", 4,
+                                          "--", "xauto-standin", app, *words))
+            run = report["runs"][0]
+            self.assertEqual((run["activations"], run["lost_activations"]), (4, 0))
+            self.assertEqual([c["results"] for c in run["chains"]], [4] * len(load(app).get("chains", [0])))
+            for xnode in run["limited_xnodes"]:
+                wcet = wcets[xnode["name"]][run["placement"][xnode["name"]].rstrip("0123456789")]
+                self.assertGreaterEqual(xnode["wcet_us"], wcet)  # a preemption that it may pay for is on top
+                self.assertGreaterEqual(xnode["longest_us"], int(least * wcet) - 300 * (len(words) > 1), (words, xnode))
+            claims = run["claims"]
+            self.assertTrue(not claims["exceeded"] or claims["broken"], claims)
+            if least == 0.6 and not claims["broken"]:  # nobody outran its WCET: the machine did not stall
+                self.assertTrue(claims["verdict"].startswith("kept"), claims)
+
+    def test_a_stand_in_refuses_what_no_program_has(self):
+        def run(edit):
+            app = {"schema": "xauto.app", "version": 3, "name": "odd", "sources": [{"name": "s"}],
+                   "xnodes": [{"name": n, "module": m, "wcet_us": {"cpu": 1000}} | ({"source": "s"} if n == "a1" else {})
+                              for n, m in (("a1", "A"), ("a2", "A"), ("b1", "B"))], "edges": [["a1", "a2"], ["a1", "b1"]]}
+            edit(app)
+            pathlib.Path(self.path("odd.json")).write_text(json.dumps(app))
+            return subprocess.run([BIN / "xauto-standin", self.path("odd.json")], capture_output=True, text=True)
+        done = run(lambda app: None)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("no program has an edge or sample like that from 'a1' to 'b1'", done.stderr)
+        self.assertIn("version", run(lambda app: app.update(version=99)).stderr)
+
     def test_compares_with_the_best_schedule_on_the_fastest_xpus(self):
         app = json.loads(pathlib.Path(APP).read_text())
         fastest = {x["name"]: min(x["wcet_us"], key=x["wcet_us"].get) for x in app["xnodes"]}

@@ -109,7 +109,7 @@ dependencies_there() {
     ldd "$program" >needs
     absent grep 'not found' needs
   done
-  [ "$(ls /usr/libexec/xauto | wc -l)" -eq 6 ] # programs, and the library that is preloaded
+  [ "$(ls /usr/libexec/xauto | wc -l)" -eq 7 ] # programs, and the library that is preloaded
 }
 # Whoever has no right to real-time priorities is told of a file; the example has the lines that it wants.
 limit_told() {

@@ -62,7 +62,12 @@ Result<int> generate(const GenerateFlags& flags, const Options& options) {
                            app.edges.size(), app.hash());
   for (const auto& [name, value] : o.describe())
     std::cout << fmt::format("  {:<18} {}\n", name, value);
-  std::cout << "\n  written to " << flags.out << "\n";
+  std::cout << fmt::format(
+      "\n  written to {0}\n\nNext, e.g. on the emulated platform `small`:\n"
+      "  xauto solve --app {0} --platform small --out policy.json\n"
+      "  xauto run --app {0} --policy policy.json --emulate --activations 20 -- xauto-standin "
+      "{0}\n",
+      flags.out);
   return kDone;
 }
 

@@ -318,7 +318,7 @@ Result<Profile> measure(const ProfileFlags& flags, const Platform& platform) {
   if (!flags.script.empty()) {
     XAUTO_ASSIGN(request.emulation, load_script(flags.script, platform, session.presence));
   }
-  request.command = flags.command;
+  request.command = app_command(flags.command);
   const StopOnSignal stop;
   request.stop = stop.flag();
   Progress progress("profile", 0);

@@ -13,6 +13,7 @@
 
 #include "base/clock.h"
 #include "base/log.h"
+#include "base/process.h"
 #include "kernel/probe.h"
 #include "launch/cpu_run.h"
 #include "launch/system_lease.h"
@@ -122,6 +123,13 @@ void RunFlags::declare(Verb verb) {
   verb.duration("--trace-keep", trace_keep_s, Unit::kSeconds, 0.001, 1e6,
                 "the trace keeps the newest events of so long, as far as 128 MiB go");
   verb.option("command", command, "the app's program and its arguments, after --").required();
+}
+
+std::vector<std::string> app_command(std::vector<std::string> command) {
+  // Ours, and in no PATH where it is installed.
+  if (!command.empty() && command.front() == "xauto-standin")
+    command.front() = program_directory() + "/xauto-standin";
+  return command;
 }
 
 Status RunFlags::prepare(const std::string& policy_path) {
@@ -290,7 +298,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.deployment = flags.deployment;
   session.parts.modules = flags.deployment.processes(flags.app);
   request.emulation = flags.script;
-  request.command = flags.command;
+  request.command = app_command(flags.command);
   request.stop = stop;
   request.trace_keep_s = flags.trace_keep_s;
   request.on_incident = std::move(dump);

@@ -37,6 +37,9 @@ class StopOnSignal {
 };
 
 /// Flags of every verb that starts an app.
+/// What is executed for the words after --: `xauto-standin` is the one beside this program.
+[[nodiscard]] std::vector<std::string> app_command(std::vector<std::string> command);
+
 struct RunFlags {
   std::string app_path, platform, input, cpu_sched = "fifo", record_path;
   bool record_outputs = false;

@@ -36,7 +36,7 @@ struct BruteForceAnswer {
 
 class BruteForce {
  public:
-  static constexpr int kMaxNodes = 16;
+  static constexpr int kMaxNodes = 24;
 
   explicit BruteForce(const Problem& problem) : p_(problem), tail_(problem.pred.size(), 0) {
     for (auto it = p_.topo.rbegin(); it != p_.topo.rend(); ++it)

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// A program for an app.json with rates that has none: each XNode keeps an emulated XPU busy for a
-// random time, at most its WCET. For unseen.py and ../runtime/sustain.py.
+// xauto-standin: the program of an app that is known by its app.json alone, as those of `xauto
+// generate` are. Each XNode keeps an emulated XPU busy and calculates nothing; workers, coordinators
+// and topics are those of any app.
 //
-//   bench_standin APP SEED SLACK_US
-//
-// The time of an XNode in a release is drawn by SEED, XNode and release, so that it is the same under
-// each policy: one in four takes its whole WCET less SLACK_US, the others 30 % and more of that. SEED
-// 0: each takes all of it.
+// A job takes 60 to 95 % of its XNode's WCET there, as a stage takes less than its WCET on an
+// ordinary day, and leaves the emulator 0.3 ms to wake up in. --worst: it takes all of it. --seed: one
+// in four does, and the others 30 % and more. Either way less --slack. A time is drawn by XNode and
+// release (and seed), so that it is the same under each policy.
 //
 // What a program can have: an edge into an XModule comes from the last XNode of another one and ends
 // at its first; so do samples. What is otherwise is refused.
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
-#include <cstdlib>
 #include <map>
 #include <memory>
 #include <stdexcept>
@@ -24,6 +24,7 @@
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
 
+#include "cli/cli.h"
 #include "model/json.h"
 
 namespace {
@@ -46,14 +47,27 @@ std::uint64_t mixed(std::uint64_t x) {
   return x ^ (x >> 31);
 }
 
-std::int64_t drawn(std::int64_t most_us, std::uint64_t by) {
-  const std::uint64_t bits = mixed(by);
-  if (bits % 4 == 0) return most_us;
-  return most_us * static_cast<std::int64_t>(300 + bits / 4 % 701) / 1000;
+struct Flags {
+  std::string app;
+  bool worst = false;
+  std::uint64_t seed = 0;  ///< 0: none
+  double slack_us = 0;
+};
+
+/// How long the job takes that `bits` stand for, of an XNode of `wcet_us`.
+std::int64_t time_of(const Flags& flags, std::int64_t wcet_us, std::uint64_t bits) {
+  const auto most = std::max<std::int64_t>(1, wcet_us - static_cast<std::int64_t>(flags.slack_us));
+  const auto part = [&](std::uint64_t low, std::uint64_t range) {
+    return most * static_cast<std::int64_t>(low + bits / 4 % range) / 1000;
+  };
+  if (flags.worst) return most;
+  if (flags.seed != 0) return bits % 4 == 0 ? most : part(300, 701);
+  return std::min(part(600, 351), std::max(most * 60 / 100, most - 300));
 }
 
-Node node_of(const xauto::XNodeSpec& spec, std::uint64_t seed, std::int64_t slack_us) {
+Node node_of(const xauto::XNodeSpec& spec, int index, const Flags& flags) {
   Node node(spec.name);
+  const std::uint64_t of_xnode = mixed(flags.seed ^ static_cast<std::uint64_t>(index));
   for (const auto& [type, wcet_us] : spec.wcet_us)
     node.add_impl(
         xauto::XPU(type),
@@ -63,12 +77,11 @@ Node node_of(const xauto::XNodeSpec& spec, std::uint64_t seed, std::int64_t slac
           const xauto::SchedHandle handle = opened->handle();
           return xauto::own(std::make_unique<xauto::emu::Context>(std::move(*opened)), handle);
         },
-        [most = wcet_us - slack_us, seed](xauto::emu::Context& context, State& state,
+        [wcet = wcet_us, of_xnode, flags](xauto::emu::Context& context, State& state,
                                           const xauto::Input& input) {
           state.result.number = input.sequence();
-          if (seed == 0) return context.run(std::chrono::microseconds(most));
-          return context.run(
-              std::chrono::microseconds(drawn(most, seed ^ mixed(input.sequence()))));
+          const std::uint64_t bits = mixed(of_xnode ^ mixed(input.sequence()));
+          return context.run(std::chrono::microseconds(time_of(flags, wcet, bits)));
         });
   return node;
 }
@@ -78,13 +91,14 @@ MessageTopic result_of(const std::string& module) {
 }
 
 void add_sources(xauto::App& app, const xauto::AppSpec& spec) {
+  // Without rates the next release comes once the last has ended: here it is ready by then.
   for (const xauto::SourceSpec& source : spec.sources)
-    app.add_source(MessageTopic(source.name), std::chrono::microseconds(source.period.floor_us()),
+    app.add_source(MessageTopic(source.name),
+                   std::chrono::microseconds(spec.one_at_a_time ? 1'000 : source.period.floor_us()),
                    [](std::uint64_t number) { return Message{number}; });
 }
 
-void add_modules(xauto::App& app, const xauto::AppSpec& spec, std::uint64_t seed,
-                 std::int64_t slack_us) {
+void add_modules(xauto::App& app, const xauto::AppSpec& spec, const Flags& flags) {
   const auto at = [&](int xnode) -> const xauto::XNodeSpec& {
     return spec.xnodes[static_cast<std::size_t>(xnode)];
   };
@@ -101,9 +115,7 @@ void add_modules(xauto::App& app, const xauto::AppSpec& spec, std::uint64_t seed
   for (const xauto::ModuleSpec& named : spec.modules) {
     Module module(named.name);
     module.in_flight(static_cast<int>(named.max_in_flight));
-    for (const int x : xnodes[named.name])
-      module.add_node(
-          node_of(at(x), seed == 0 ? 0 : mixed(seed ^ static_cast<std::uint64_t>(x)), slack_us));
+    for (const int x : xnodes[named.name]) module.add_node(node_of(at(x), x, flags));
     for (const int source : at(xnodes[named.name].front()).sources)
       module.add_input_topic(MessageTopic(spec.sources[static_cast<std::size_t>(source)].name));
     for (const auto& edge : spec.edges)
@@ -120,18 +132,28 @@ void add_modules(xauto::App& app, const xauto::AppSpec& spec, std::uint64_t seed
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc < 4) {
-    std::fprintf(stderr, "usage: bench_standin APP SEED SLACK_US\n");
-    return 2;
-  }
-  const auto spec = xauto::load_app(argv[1]);
+  Flags flags;
+  xauto::cli::Program program(
+      "Stands in for an app's program: each XNode keeps an emulated XPU busy.", "xauto-standin");
+  program.option("app", flags.app, "app.json").required();
+  program.flag("--worst", flags.worst, "each job takes its WCET, not 60 to 95 % of it");
+  program.option("--seed", flags.seed, "one job in four takes its WCET, the others 30 % and more")
+      .excludes("--worst");
+  program.duration("--slack", flags.slack_us, xauto::cli::Unit::kMicroseconds, 0, 1e9,
+                   "by which each job takes less");
+  if (const auto exit = program.parse(argc, argv)) return *exit;
+  const auto spec = xauto::load_app(flags.app);
   if (!spec) {
-    std::fprintf(stderr, "bench_standin: %s\n", spec.error().to_string().c_str());
+    std::fprintf(stderr, "xauto-standin: %s\n", spec.error().to_string().c_str());
     return 2;
   }
-  xauto::App app(spec->name);
-  const std::uint64_t seed = std::strtoull(argv[2], nullptr, 10);
-  add_sources(app, *spec);
-  add_modules(app, *spec, seed, std::strtoll(argv[3], nullptr, 10));
-  return app.main(argc, argv);
+  try {
+    xauto::App app(spec->name);
+    add_sources(app, *spec);
+    add_modules(app, *spec, flags);
+    return app.main(argc, argv);
+  } catch (const std::runtime_error& error) {
+    std::fprintf(stderr, "xauto-standin: %s: %s\n", flags.app.c_str(), error.what());
+    return 2;
+  }
 }
