@@ -7,7 +7,7 @@ import unittest
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 PAGE = SOURCE / "docs/paths.md"
 ROW = re.compile(r"\| `([^`]+)` \| `([^`]+)` \|")
-COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+COMMENT = re.compile(r'("(?:\\.|[^"\\\n])*")|//[^\n]*|/\*.*?\*/', re.DOTALL)
 
 
 def paths(text):
@@ -43,7 +43,7 @@ def has_body(text, name):
 
 def defines(text, function):
     """`Class::name` in full, or `name` behind the beginning of `class Class`; or a plain function."""
-    text = COMMENT.sub("", text)
+    text = COMMENT.sub(lambda found: found[1] or "", text)  # in a text "/*" begins none
     if has_body(text, function):
         return True
     if "::" not in function:

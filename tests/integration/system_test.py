@@ -40,13 +40,13 @@ class System(unittest.TestCase):
                      "--max-evaluations", 400, "--time-limit", "60s", "--out", self.at / name / "policy.json", *more)
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
 
-    def start(self, name, period_us, seconds=None, system=None, before=()):
+    def start(self, name, period_us, seconds=None, system=None, before=(), flags=()):
         """Without `seconds` it goes on until it is told to end."""
         at = self.at / name
         how_long = ("--duration", f"{seconds}s") if seconds else ("--activations", "0")
         run = subprocess.Popen(
             [*before, BIN / "xauto", "run", "--app", at / "app.json", "--platform", at / "platform.json", "--policy", at / "policy.json",
-             *how_long, "--system", system or self.socket, "--out", at / "report.json", "--", TESTAPP,
+             *how_long, *flags, "--system", system or self.socket, "--out", at / "report.json", "--", TESTAPP,
              at / "result", "period", str(period_us)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self.addCleanup(run.stdout.close)
         self.addCleanup(run.wait)
@@ -128,7 +128,7 @@ class System(unittest.TestCase):
             self.skipTest("only root makes namespaces")
         first = self.start("first", 40_000)
         wait_for("the first", lambda: self.admitted() == ["first"], first)
-        second = self.start("second", 50_000, 5, before=away)
+        second = self.start("second", 50_000, 5, before=away, flags=("--overload", "queue:8"))
         wait_for("the second", lambda: sorted(self.admitted()) == ["first", "second"], second)
         self.assertEqual(len(self.coordinators()), 2)
         self.assertEqual(self.ended(second, "second")["lost_activations"], 0)
