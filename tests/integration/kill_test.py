@@ -79,8 +79,11 @@ class Kill(unittest.TestCase):
         while any(alive(pid) for pid in family) and time.monotonic() < deadline:
             time.sleep(0.01)
         self.assertEqual([f"{pid} {name}" for pid, name in family.items() if alive(pid)], [])
-        sockets = pathlib.Path("/proc/net/unix").read_text()
-        self.assertNotIn(f"@xauto/{tool.pid}-", sockets)
+        def theirs():
+            return [line for line in pathlib.Path("/proc/net/unix").read_text().splitlines() if f"@xauto/{tool.pid}-" in line]
+        while theirs() and time.monotonic() < deadline:  # of whoever was started since `family` was looked at
+            time.sleep(0.01)
+        self.assertEqual(theirs(), [])
         self.assertEqual(shared_memory() - before, set())
 
     def wait_until_it_runs(self, tool, more=3):

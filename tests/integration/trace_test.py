@@ -186,6 +186,7 @@ class Trace(unittest.TestCase):
         policy = json.loads(pathlib.Path(self.policy).read_text())
         run = self.drive()
         rows = wait_for("the map", lambda: deployed(run), run)
+        wait_for("activations", lambda: any(activations(run).values()), run)  # it hears a SIGTERM by then
         self.stop(run)
         xpus = [x["xpu"] for x in policy["xnodes"]]
         self.assertTrue({"gpu0", "dla0"} <= set(xpus) and any(x.startswith("cpu") for x in xpus), xpus)
