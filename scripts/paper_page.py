@@ -282,8 +282,9 @@ def figure_solving(data):
 
 def figure_runs(data):
     rows, above, total = [], 0, 0
-    for p in sorted({r["platform"] for r in data["runs"]}):
-        runs, these = ran(data, p), [r for r in data["runs"] if r["platform"] == p]
+    for p in sorted({r["platform"] for r in data["kept"]}):
+        these = [r for r in data["kept"] if r["platform"] == p]
+        runs = [r for r in these if "failed" not in r]
         over = [100 * (r["xauto_max_us"] / r["claim_us"] - 1) for r in runs]
         most = [r for r in runs if 50 * r["xauto_max_us"] > 51 * r["claim_us"]]
         above, total = above + len(most), total + len(these)
@@ -292,10 +293,11 @@ def figure_runs(data):
                      text(statistics.median(r["stall_ms"] for r in runs), 1) + " / " + text(max(r["stall_ms"] for r in runs), 1) if runs else "–",
                      text(max((r["stall_ms"] for r in most), default=None), 1)])
     failed = sum(r[2] for r in rows)
-    load = data["parts"]["runs"]["load"]
+    load = data["parts"]["kept"]["load"]
     return Figure("runs", "Section 6.1: the tasks executed", RUN, "The synthetic DAGs were executed, not only simulated.",
                   HOLDS if failed == 0 and above <= 0.1 * total else PARTLY,
-                  f"{total - failed} of {total} DAGs ran; the slowest release was more than 2 % above its claim in {above}. Load average {load[0]} to "
+                  f"{total - failed} of {total} DAGs ran, each job for its WCET less 0.3 ms, in which the emulator wakes up; the slowest release was "
+                  f"more than 2 % above its claim in {above}. Load average {load[0]} to "
                   f"{load[1]} on {data['machine'][0][1].split(', ')[-1]}; a stall is how long a thread that sleeps 1 ms at a time slept more.",
                   "executed", f"{total - failed} of {total} ran; {above} above their claim by over 2 %",
                   ["platform", "DAGs", "failed", "releases each", "lost", "above the claim %: median", "largest", "above by over 2 %",
