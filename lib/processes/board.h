@@ -173,7 +173,7 @@ struct alignas(64) ParameterLine {
 
 /// By what the jobs of an XNode are ordered.
 enum class Ordered : std::uint32_t {
-  kNobody,    ///< the run is not scheduled
+  kNobody,    ///< nobody keeps one: the run is not scheduled, or its core is not
   kPriority,  ///< the larger goes first
   kKey,       ///< by when after its release it is done
   kRank,      ///< a SCHED_FIFO priority on a real core, one of those of the policy

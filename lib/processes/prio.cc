@@ -1,10 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "processes/prio.h"
 
+#include "model/app.h"
 #include "model/platform.h"
 
 namespace xauto::runtime {
 namespace {
+
+/// What is asked of an XNode.
+struct AskedUrgency {
+  /// Of a policy of priorities; of a policy of keys microseconds from the nominal release. Nullopt: as planned.
+  std::optional<std::int64_t> value;
+  bool is_key = false;  ///< which of the two `value` is
+};
 
 Ordered ordered_of(const XNodeLine& line) {
   const std::uint32_t ordered = line.ordered.load();
@@ -12,22 +20,19 @@ Ordered ordered_of(const XNodeLine& line) {
                                                               : static_cast<Ordered>(ordered);
 }
 
-XNodeLine* find(Board& board, std::string_view xnode) {
-  for (std::uint32_t n = 0; n < board.shape().nodes; ++n)
-    if (line_name(board.xnode(n).name) == xnode.substr(0, kBoardNameBytes - 1))
-      return &board.xnode(n);
-  return nullptr;
-}
-
 Result<XNodeLine*> line_of(Board& board, std::string_view xnode) {
-  XNodeLine* line = find(board, xnode);
+  XNodeLine* line = nullptr;
+  for (std::uint32_t n = 0; n < board.shape().nodes && line == nullptr; ++n)
+    if (line_name(board.xnode(n).name) == xnode.substr(0, kBoardNameBytes - 1))
+      line = &board.xnode(n);
   if (line == nullptr)
     return fail(ErrorCode::kNotFound, "the app has no XNode '" + std::string(xnode) + "'", {},
                 "`xauto prio` lists them");
   const std::string where = "XNode '" + std::string(xnode) + "'";
   if (ordered_of(*line) == Ordered::kNobody)
     return fail(ErrorCode::kUnavailable, "nobody schedules its jobs in this run", where,
-                "start the run with --scheduling xauto");
+                "start it with --scheduling xauto; on a real core SCHED_FIFO has to be permitted, "
+                "or --cpu-sched ext (`xauto doctor`)");
   if (ordered_of(*line) == Ordered::kRank)
     return fail(ErrorCode::kUnavailable,
                 "is on a core whose order Linux keeps by ranks, which were set before the run",
@@ -35,12 +40,10 @@ Result<XNodeLine*> line_of(Board& board, std::string_view xnode) {
   return line;
 }
 
-}  // namespace
-
-Status ask_for_urgency(Board& board, std::string_view xnode, const AskedUrgency& asked) {
-  XAUTO_ASSIGN(XNodeLine* const line, line_of(board, xnode));
+/// What was asked of it before.
+Result<std::int64_t> ask(XNodeLine& line, std::string_view xnode, const AskedUrgency& asked) {
   const std::string where = "XNode '" + std::string(xnode) + "'";
-  const bool keys = ordered_of(*line) == Ordered::kKey;
+  const bool keys = ordered_of(line) == Ordered::kKey;
   if (asked.value && keys != asked.is_key)
     return fail(ErrorCode::kInvalid,
                 keys ? "has a key: by when after its release a job is done"
@@ -53,10 +56,12 @@ Status ask_for_urgency(Board& board, std::string_view xnode, const AskedUrgency&
                 std::to_string(*asked.value) + " is not from " + std::to_string(least) + " to " +
                     std::to_string(most),
                 where);
-  line->asked.store(asked.value.value_or(XNodeLine::kAsPlanned));
-  line->asked_times.fetch_add(1);
-  return {};
+  const std::int64_t before = line.asked.exchange(asked.value.value_or(XNodeLine::kAsPlanned));
+  line.asked_times.fetch_add(1);
+  return before;
 }
+
+}  // namespace
 
 Result<Json> change_urgency(const Json& asked, Board* board) {
   const auto name = asked.at("xnode").text();
@@ -68,9 +73,8 @@ Result<Json> change_urgency(const Json& asked, Board* board) {
     return fail(ErrorCode::kInvalid, "the request is malformed", {},
                 "the run and the xauto tool must be of one build");
   if (board == nullptr) return fail(ErrorCode::kUnavailable, "the app has not started yet");
-  const XNodeLine* const line = find(*board, *name);
-  const std::int64_t before = line == nullptr ? XNodeLine::kAsPlanned : line->asked.load();
-  XAUTO_TRY(ask_for_urgency(*board, *name, urgency));
+  XAUTO_ASSIGN(XNodeLine* const line, line_of(*board, *name));
+  XAUTO_ASSIGN(const std::int64_t before, ask(*line, *name, urgency));
   Json was = {{"xnode", *name}};
   if (before != XNodeLine::kAsPlanned)
     was[ordered_of(*line) == Ordered::kKey ? "key_us" : "priority"] = before;

@@ -17,22 +17,12 @@
 
 namespace xauto::runtime {
 
-/// What is asked of an XNode.
-struct AskedUrgency {
-  /// Of a policy of priorities; of a policy of keys microseconds from the nominal release. Nullopt: as planned.
-  std::optional<std::int64_t> value;
-  bool is_key = false;  ///< which of the two `value` is
-};
 inline constexpr std::int64_t kMaxAskedPriority = 1'000'000'000'000;
 
-/// Errors: kNotFound: there is no such XNode; kInvalid: out of range, or the policy has the other of the two;
-/// kUnavailable: nobody schedules this run, or Linux keeps the order of that core by ranks which were set before it.
-/// Threads: any, in any process that may write the board.
-[[nodiscard]] Status ask_for_urgency(Board& board, std::string_view xnode,
-                                     const AskedUrgency& asked);
-
 /// Asked: {"xnode": NAME, "priority": N}, or "key_us": N, or neither: as planned. The answer: {"was": {"xnode": NAME,
-/// ...}} likewise. `board` is null before there is one.
+/// ...}} likewise. `board` is null before there is one. Errors: kNotFound: there is no such XNode; kInvalid: malformed,
+/// out of range, or the policy has the other of the two; kUnavailable: nobody keeps an order of its jobs, or Linux does
+/// by ranks which were set before the run. Threads: any, in any process that may write the board.
 [[nodiscard]] Result<Json> change_urgency(const Json& asked, Board* board);
 
 /// One XNode of a run, as `xauto prio` shows it.

@@ -156,24 +156,30 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   if (!session.emulated(xpu) && x.type == "cpu")
     placed.fifo_priority =
         session.cpu.by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
-  tell_order(placed,
-             session.keys ? &session.keys_of(table).placements[placed.xnode].key_us : nullptr);
+  tell_order(placed, xpu);
   return placed;
 }
 
-/// By what its jobs are ordered, where people look and ask for something else (processes/prio.h). By several tables: by
-/// ranks, if by one of them.
-void Wiring::tell_order(const Placed& placed, const std::vector<std::int64_t>* key_us) {
+/// By what its jobs are ordered, where people look and ask for something else (processes/prio.h). What one of several
+/// tables does not let them ask for, they may not.
+void Wiring::tell_order(const Placed& placed, int xpu) {
+  const Session& session = context_.session;
   XNodeLine& line = *placed.line;
-  const bool by_rank = placed.fifo_priority > 0 && placed.fifo_priority != xpu::kCpuAsks;
+  const bool keys = session.keys.has_value();
+  Ordered order = keys ? Ordered::kKey : Ordered::kPriority;
+  const bool real_core =
+      !session.emulated(xpu) && session.platform.xpus[static_cast<std::size_t>(xpu)].type == "cpu";
+  // Coordinators and sched_ext are told with each job; SCHED_FIFO's ranks are the policy's, and know no keys.
+  if (real_core && !session.cpu.by_keys && session.cpu.sched != CpuSched::kExt)
+    order = placed.fifo_priority > 0 && !keys ? Ordered::kRank : Ordered::kNobody;
   if (placed.table == 0) {
-    line.keys.store(key_us == nullptr ? 0 : static_cast<std::uint32_t>(key_us->size()));
-    line.planned.store(key_us == nullptr ? coord::priority_of_key(placed.urgency.constant())
-                                         : key_us->front());
-    line.ordered.store(
-        static_cast<std::uint32_t>(key_us == nullptr ? Ordered::kPriority : Ordered::kKey));
+    const std::vector<std::int64_t>* key_us =
+        keys ? &session.keys_of(0).placements[placed.xnode].key_us : nullptr;
+    line.keys.store(keys ? static_cast<std::uint32_t>(key_us->size()) : 0);
+    line.planned.store(keys ? key_us->front() : coord::priority_of_key(placed.urgency.constant()));
   }
-  if (by_rank) line.ordered.store(static_cast<std::uint32_t>(Ordered::kRank));
+  const bool asked_for = order == Ordered::kKey || order == Ordered::kPriority;
+  if (placed.table == 0 || !asked_for) line.ordered.store(static_cast<std::uint32_t>(order));
 }
 
 /// What this process publishes to others.

@@ -85,7 +85,7 @@ class Wiring {
       : context_(context), placing_(placing), role_(role) {}
   [[nodiscard]] Status place_module(std::size_t module, int index);
   [[nodiscard]] Result<Placed> place_node(std::size_t module, std::size_t table, int n);
-  void tell_order(const Placed& placed, const std::vector<std::int64_t>* key_us);
+  void tell_order(const Placed& placed, int xpu);
   [[nodiscard]] Status open_topics();
   [[nodiscard]] Status make_module(std::size_t module, ModuleHost& host);
   void connect(std::size_t topic);
