@@ -140,9 +140,10 @@ std::uint64_t urgent_apart(const SourceSpec& spec) {
   return static_cast<std::uint64_t>(apart / spec.period.num);
 }
 
-/// [module] whether it hears, by its inputs, of what the module called `marks` publishes.
+/// [module] whether it hears, by its inputs, of what the module called `marks` publishes; all do where it has no name.
 std::vector<char> hearers_of(const Graph& graph, const std::string& marks) {
-  std::vector<char> hears(graph.modules.size(), 0);
+  std::vector<char> hears(graph.modules.size(), marks.empty() ? 1 : 0);
+  if (marks.empty()) return hears;
   for (const int m : graph.module_order)
     for (const int topic : graph.modules[static_cast<std::size_t>(m)].inputs) {
       const int by = graph.topics[static_cast<std::size_t>(topic)].module;
@@ -193,16 +194,19 @@ Status Grid::take_modules(const Graph& graph, const Session& session) {
       of.shift_ns = of.offset_ns - component.offset_us * 1000;
       shift_ns[m][i] = of.shift_ns;
     }
-    for (std::size_t s = 0; s < graph.sources.size(); ++s) {
-      const SourceSpec& spec = app.sources[sources[s].number];
-      if (heard[m][s] == 0 || !spec.urgent) continue;
-      const std::string& marks = spec.urgent->marked_by;
-      if (module.name == marks) marks_apart[m] = urgent_apart(spec);
-      if (!marks.empty() && hearers_of(graph, marks)[m] == 0) continue;
+    depth[m] = depth_of(graph, session, module, component);
+  }
+  for (std::size_t s = 0; s < graph.sources.size(); ++s) {
+    const SourceSpec& spec = app.sources[sources[s].number];
+    if (!spec.urgent) continue;
+    const std::vector<char> hurries = hearers_of(graph, spec.urgent->marked_by);
+    for (std::size_t m = 0; m < graph.modules.size(); ++m) {
+      if (heard[m][s] == 0) continue;
+      if (graph.modules[m].name == spec.urgent->marked_by) marks_apart[m] = urgent_apart(spec);
+      if (hurries[m] == 0) continue;
       urgent_source[m] = static_cast<int>(s);
       urgent_by_us[m] = spec.urgent->by_us;
     }
-    depth[m] = depth_of(graph, session, module, component);
   }
   return check_joins(graph, session, *this, heard);
 }

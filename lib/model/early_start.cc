@@ -2,7 +2,9 @@
 #include "model/early_start.h"
 
 #include <algorithm>
+#include <map>
 #include <numeric>
+#include <string_view>
 
 #include "base/index.h"
 #include "model/components.h"
@@ -34,17 +36,22 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
   const std::vector<int> topological = app.topological_order(policy.order);
   // Of urgent releases by how much, and who hears of them.
   std::vector<std::int64_t> sooner(n, 0);
+  std::map<std::string_view, std::int64_t> marked;  // [module] what it publishes
+  for (const SourceSpec& source : app.sources)
+    if (source.urgent && !source.urgent->marked_by.empty())
+      marked[source.urgent->marked_by] =
+          std::max(marked[source.urgent->marked_by], source.urgent->by_us);
   for (const int i : topological) {
     for (const int s : app.xnodes[at(i)].sources)
       if (const auto& urgent = app.sources[at(s)].urgent; urgent && urgent->marked_by.empty())
         sooner[at(i)] = std::max(sooner[at(i)], urgent->by_us);
     for (const std::size_t e : into[at(i)]) {
       if (e >= app.edges.size()) continue;
-      const std::string& from = app.xnodes[at(waits[e].first)].module;
       sooner[at(i)] = std::max(sooner[at(i)], sooner[at(waits[e].first)]);
-      for (const SourceSpec& source : app.sources)
-        if (source.urgent && source.urgent->marked_by == from && app.xnodes[at(i)].module != from)
-          sooner[at(i)] = std::max(sooner[at(i)], source.urgent->by_us);
+      const std::string& from = app.xnodes[at(waits[e].first)].module;
+      if (marked.empty() || app.xnodes[at(i)].module == from) continue;
+      if (const auto by = marked.find(from); by != marked.end())
+        sooner[at(i)] = std::max(sooner[at(i)], by->second);
     }
   }
   // With holds earlier by `by`, or without any.

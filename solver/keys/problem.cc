@@ -449,18 +449,19 @@ struct Builder {
           return too_long("every_us of source '" + source.name + "'");
         p.any_urgent = true;
         const std::string& marks = source.urgent->marked_by;
-        for (const int j : c.xnodes)
-          if (marks.empty() ? j == i || p.before(i, j) : hears_of(marks, j)) p.urgent[at(j)] = 1;
+        for (const int first : marks.empty() ? std::vector<int>{i} : readers_of(marks))
+          for (const int j : c.xnodes)
+            if (j == first || p.before(first, j)) p.urgent[at(j)] = 1;
       }
     return {};
   }
-  /// XNode j hears, by edges, of what this module publishes.
-  [[nodiscard]] bool hears_of(const std::string& module, int j) const {
-    return std::ranges::any_of(app.edges, [&](const auto& edge) {
-      return app.xnodes[at(edge.first)].module == module &&
-             app.xnodes[at(edge.second)].module != module &&
-             (edge.second == j || p.before(edge.second, j));
-    });
+  /// XNodes that take what this module publishes.
+  [[nodiscard]] std::vector<int> readers_of(const std::string& module) const {
+    std::vector<int> readers;
+    for (const auto& [u, v] : app.edges)
+      if (app.xnodes[at(u)].module == module && app.xnodes[at(v)].module != module)
+        readers.push_back(v);
+    return readers;
   }
 
   [[nodiscard]] bool along_edges(int u, int v) const { return u == v || p.before(u, v); }
