@@ -14,7 +14,7 @@ inline constexpr const char* kGpuSchedNodes[] = {"/dev/nvgpu/igpu0/sched", "/dev
 inline constexpr const char* kDlaPrefixes[] = {"/dev/nvhost-ctrl-nvdla", "/dev/nvdla"};
 inline constexpr const char* kDlaNodes[] = {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1",
                                             "/dev/nvdla0", "/dev/nvdla1"};
-/// VICs have a node in JetPack 5; later ones are devices of the host1x bus, by their address in the device tree.
+/// A VIC is a device of the host1x bus, of Xavier and Orin at this address.
 inline constexpr const char* kVicNodes[] = {"/sys/bus/platform/devices/15340000.vic"};
 inline constexpr const char* kPvaNodes[] = {"/dev/nvhost-ctrl-pva0", "/dev/nvhost-ctrl-pva1"};
 /// NVIDIA's RM driver has one for all GPUs. A Jetson's display may have it beside nvgpu.

@@ -2,6 +2,7 @@
 #include "xpu/presence.h"
 
 #include <algorithm>
+#include <set>
 
 #include <sys/stat.h>
 
@@ -11,15 +12,15 @@ namespace xauto::xpu {
 
 Hardware Hardware::here(const std::vector<Kind>& table) {
   Hardware machine{rt::allowed_cores().size(), {}};
-  for (const Kind& kind : table)
+  for (const Kind& kind : table) {
+    std::set<std::string> numbers;  // two releases' nodes may be there at once
     for (const std::string& node : kind.nodes) {
       struct stat status {};
-      if (stat(node.c_str(), &status) != 0) continue;
-      if (kind.node_each)
-        ++machine.devices[kind.type];
-      else
-        machine.devices[kind.type] = kMaxXpus;
+      if (stat(node.c_str(), &status) == 0)
+        numbers.insert(node.substr(node.find_last_not_of("0123456789") + 1));
     }
+    if (!numbers.empty()) machine.devices[kind.type] = kind.node_each ? numbers.size() : kMaxXpus;
+  }
   return machine;
 }
 
