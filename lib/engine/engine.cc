@@ -45,6 +45,9 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
                                                const Session& session, std::atomic<bool>& stop) {
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
   XAUTO_TRY(graph.matches(session.app));
+  // One source on each side is the same one, also where app.json was written by hand.
+  if (graph.sources.size() == 1 && session.app.sources.size() == 1)
+    graph.sources[0].name = session.app.sources[0].name;
   if (session.app.one_at_a_time) graph.single_rate = true;  // whatever the program's rates are
   // Releases have the numbers of app.json's grid, also those that are pushed.
   if (!session.app.sources.empty() && !session.releases.lockstep && session.releases.input.empty())

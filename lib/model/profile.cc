@@ -217,6 +217,17 @@ Status validate(const Profile& profile) {
 
 namespace {
 
+/// A profile that names no source says nothing of rates: one without a rate fires what nobody else does.
+void give_source(AppSpec& app) {
+  if (!app.sources.empty()) return;
+  app.sources.push_back({"source", kNoRate});
+  app.one_at_a_time = true;
+  std::vector<char> fired(app.xnodes.size(), 0);
+  for (const auto& [u, v] : app.edges) fired[static_cast<std::size_t>(v)] = 1;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    if (fired[i] == 0) app.xnodes[i].sources = {0};
+}
+
 /// `rated`, the graph of `profile`, with rates, clocks, samples, and deadlines of chains.
 Result<AppSpec> with_rates(const Profile& profile, AppSpec rated) {
   for (SourceSpec& source : rated.sources) source.pushed = false;
@@ -313,6 +324,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
     app.xnodes.push_back(std::move(spec));
   }
   for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});
+  give_source(app);
   app.deadline_us = profile.asks.deadline_us;
   return with_rates(profile, std::move(app));
 }

@@ -160,6 +160,23 @@ TEST(Profile, FewSamplesHaveNoP99) {
   EXPECT_TRUE(to_app(profile, platform, WcetFrom::kP99));
 }
 
+TEST(Profile, WithoutSourcesOneWithoutARateFiresWhatNobodyElseDoes) {
+  Profile profile;
+  profile.app = "a";
+  profile.xnodes = {{"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}}},
+                    {"y", "N", {{"cpu0", {9, 1, 2, 3, 4}}}},
+                    {"z", "O", {{"cpu0", {9, 1, 2, 3, 4}}}}};
+  profile.edges = {{0, 2}, {1, 2}};
+  const auto app = to_app(profile, Platform::builtin("small").value(), WcetFrom::kP50);
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_TRUE(app->one_at_a_time);
+  ASSERT_EQ(app->sources.size(), 1u);
+  EXPECT_EQ(app->xnodes[0].sources, (std::vector<int>{0}));
+  EXPECT_EQ(app->xnodes[1].sources, (std::vector<int>{0}));
+  EXPECT_EQ(app->xnodes[2].sources, (std::vector<int>{}));
+  EXPECT_EQ(app->chains.size(), 1u);
+}
+
 TEST(Profile, WhereItWasNoStandInItIsReal) {
   const Platform platform = Platform::builtin("small").value();
   Profile profile;
