@@ -23,7 +23,7 @@ mkdir -p "$out"
 compiler=(g++)
 command -v ccache >/dev/null && compiler=(ccache g++)
 files=(lib/app/app.cc lib/app/run_options.cc lib/app/testing.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc
-  lib/model/parameter.cc lib/xpu/sched_handle.cc lib/transport/buffer.cc lib/emu/client.cc)
+  lib/model/parameter.cc lib/xpu/sched_handle.cc lib/xpu/levels.cc lib/transport/buffer.cc lib/emu/client.cc)
 compiled=("${files[@]}")
 [ $# -le 2 ] || compiled=("${@:3}")
 object() { echo "$out/$(basename "$1" .cc).o"; }

@@ -40,12 +40,15 @@ echo "after it was killed:" && suspend once
 # The app, planned with what suspending has cost in a run of it.
 cd "$out" || exit 1
 xauto doctor --platform-out here.json >doctor.txt
-platform() { # FILE PREEMPT_US PREEMPTIVE
+platform() { # FILE PREEMPT_US PREEMPTIVE [LEVELS]
   python3 - "$@" <<'P'
 import json, sys
 platform = json.load(open("here.json"))
 gpu = next(x for x in platform["xpus"] if x["type"] == "gpu")
 gpu["preempt_us"], gpu["preemptive"] = int(sys.argv[2]), sys.argv[3] == "yes"
+gpu.pop("levels", None)
+if len(sys.argv) > 4:
+    gpu["levels"] = int(sys.argv[4])
 platform["xpus"] = [gpu]
 json.dump(platform, open(sys.argv[1], "w"))
 P
@@ -56,10 +59,9 @@ run() { # NAME PLATFORM POLICY SECONDS FLAG...
   timeout -k 5 90 xauto run --app app.json --platform "$platform" --policy "$policy" --duration "${seconds}s" --name "$name" \
     --out "$name.report.json" "$@" -- ./app 2>"$name.err"
 }
-plan() { xauto solve --app app.json --platform "$1.json" --time-limit 3s --out "$1.policy.json"; }
-platform first.json 2000 yes
-xauto profile --platform first.json --repetitions 50 --out profile.json --app-out profiled.json -- ./app || exit 1
-python3 - <<'P'
+measured() { # NAME: app.json of its profile, and what the table above says of jitter and deadlines
+  xauto profile --platform "$1.json" --repetitions 50 --out "$1.profile.json" --app-out profiled.json -- ./app || exit 1
+  python3 - <<'P'
 import json
 app = json.load(open("profiled.json"))
 for source in app["sources"]:
@@ -68,6 +70,10 @@ for chain, deadline_us in zip(app["chains"], (9000, 39000, 190000)):
     chain["deadline_us"] = deadline_us
 json.dump(app, open("app.json", "w"))
 P
+}
+plan() { xauto solve --app app.json --platform "$1.json" --time-limit 3s --out "$1.policy.json"; }
+platform first.json 2000 yes
+measured first
 plan first >/dev/null
 run first first.json first.policy.json 10 >first.txt
 cost=$(python3 -c 'import json; p = json.load(open("first.report.json"))["runs"][0]["preemptions"][0]; print((p["suspend_us"] + p["resume_us"]) * 3 // 2)')
@@ -89,3 +95,32 @@ done
 kill -9 "$(pgrep xauto-coordinat | tail -n 1)"
 wait
 echo "left behind: $(($(pgrep -c m:) + $(pgrep -c xauto-coordinat)))"
+
+# The same with blocks as short as a net's: suspended, by levels of one context, by hand, by the driver alone.
+export BLOCK_US=50
+run slices-short rm.json rm.policy.json 20 --scheduling timeshare
+run suspended-short rm.json rm.policy.json 20
+levels=$(python3 -c 'import json; print(next(x for x in json.load(open("here.json"))["xpus"] if x["type"] == "gpu").get("levels", 0))')
+if [ "$levels" -lt 2 ]; then
+  echo "run.sh: CUDA tells of no stream priorities here: nothing by levels"
+else
+  platform levels.json 0 yes "$levels" # what a job waits for blocks that run is in its WCET
+  measured levels
+  plan levels
+  run levels levels.json levels.policy.json 60
+  HAND_LEVELS=1 run by-hand levels.json levels.policy.json 20 --scheduling timeshare
+fi
+if command -v nvidia-cuda-mps-control >mps.txt && nvidia-cuda-mps-control -d >>mps.txt 2>&1; then
+  run mps rm.json rm.policy.json 20 --scheduling timeshare --isolate
+  echo quit | nvidia-cuda-mps-control >>mps.txt 2>&1
+else
+  echo "run.sh: MPS is not here, or does not start"
+fi
+python3 - *.report.json <<'P'
+import json, sys
+for path in sys.argv[1:]:
+    run = json.load(open(path))["runs"][0]
+    for chain in run["chains"]:
+        print(json.dumps({"run": run["name"], "chain": chain["name"], "latency_us": chain["latency_us"],
+                          "worst_case_us": chain.get("worst_case_us"), "results": chain["results"]}))
+P

@@ -39,31 +39,42 @@ inline const std::string& kernels() {
 /// A context with the kernel `work` in it.
 class Stage {
  public:
-  explicit Stage(int gpu) {
-    auto made = Context::create(gpu);
+  /// `by_hand`: with HAND_LEVELS=1 the app orders its work itself, on this of three levels.
+  Stage(const xauto::XpuId& xpu, int by_hand) {
+    const bool hand = std::getenv("HAND_LEVELS") != nullptr;
+    auto made = hand ? Context::create(xpu.index, 3) : Context::create(xpu);
     if (!made) throw std::runtime_error(made.error().to_string());
     context_ = std::move(made.value());
+    if (const xauto::Status taken = hand ? context_->take(by_hand) : xauto::Status(); !taken)
+      throw std::runtime_error(taken.error().to_string());
     const Context::Scope scope(*context_);
     CUmodule module = nullptr;
     must(cuModuleLoadData(&module, kernels().c_str()), "cuModuleLoadData");
     must(cuModuleGetFunction(&work_, module, "work"), "cuModuleGetFunction");
     must(cuMemAlloc(&out_, sizeof(float)), "cuMemAlloc");
   }
-  [[nodiscard]] xauto::SchedHandle handle() const {
-    return xauto::SchedHandle::cuda_context(context_->get());
-  }
+  [[nodiscard]] xauto::SchedHandle handle() const { return context_->handle(); }
   /// Returns when it is over, as an exec has to.
   xauto::Status work(unsigned long long iterations) {
     const Context::Scope scope(*context_);
     XAUTO_TRY(scope.entered());
+    // As much work in so many more blocks, where they are to be short: what is more urgent waits for those that run.
+    const unsigned long long longest = block_us() * kPerMs / 1000;
+    const auto times = longest == 0 ? 1 : (iterations + longest - 1) / longest;
+    iterations /= times;
     void* arguments[] = {&iterations, &out_};
-    XAUTO_TRY(checked(
-        cuLaunchKernel(work_, 264, 1, 1, 256, 1, 1, 0, context_->stream(), arguments, nullptr),
-        "cuLaunchKernel"));
+    XAUTO_TRY(checked(cuLaunchKernel(work_, static_cast<unsigned>(264 * times), 1, 1, 256, 1, 1, 0,
+                                     context_->stream(), arguments, nullptr),
+                      "cuLaunchKernel"));
     return context_->synchronize();
   }
 
  private:
+  /// BLOCK_US; 0: a block takes as long as the kernel.
+  static unsigned long long block_us() {
+    const char* us = std::getenv("BLOCK_US");
+    return us == nullptr ? 0 : std::strtoull(us, nullptr, 10);
+  }
   std::unique_ptr<Context> context_;
   CUfunction work_ = nullptr;
   CUdeviceptr out_ = 0;
@@ -71,11 +82,11 @@ class Stage {
 
 /// A job of it counts in State::done.
 template <class State>
-void run_on_gpu(xauto::XNode<State>& node, unsigned long long iterations) {
+void run_on_gpu(xauto::XNode<State>& node, unsigned long long iterations, int by_hand = 0) {
   node.add_impl(
       xauto::XPU::GPU,
-      [](const xauto::XpuId& xpu) {
-        auto stage = std::make_unique<Stage>(xpu.index);
+      [by_hand](const xauto::XpuId& xpu) {
+        auto stage = std::make_unique<Stage>(xpu, by_hand);
         const xauto::SchedHandle handle = stage->handle();
         return xauto::own(std::move(stage), handle);
       },

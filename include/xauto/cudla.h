@@ -83,6 +83,10 @@ class Session {
     XAUTO_TRY(made->run());
     return made;
   }
+  /// On the instance's DLA.
+  [[nodiscard]] static Result<std::unique_ptr<Session>> open(Model model, const XpuId& xpu) {
+    return open(std::move(model), xpu.index);
+  }
   Session(const Session&) = delete;
   Session& operator=(const Session&) = delete;
   ~Session() {

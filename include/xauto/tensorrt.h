@@ -82,24 +82,30 @@ inline Result<ElementType> element_type(nvinfer1::DataType type, const std::stri
 
 }  // namespace detail
 
-/// A loaded plan with its buffers, in a CUDA context of its own. Threads: one at a time.
+/// A loaded plan with its buffers, in a CUDA context of its own, or on the levels of one that is shared (cuda.h).
+/// Threads: one at a time.
 ///
 /// Inputs and outputs are pinned memory that CPU and GPU share. On a Jetson, whose GPU has no other
 /// memory, nothing is copied; a discrete GPU reads them over its bus.
 class Session {
  public:
-  /// Loads the plan on GPU `index`, compares it with what the app counts on, makes the buffers, and runs
+  /// Loads the plan on GPU `index`, as cuda::Context::create; compares it with what the app counts on, makes the buffers, and runs
   /// once on zeros. Errors: kNotFound: no such file; kInvalid: other tensors, or a plan of another version
   /// or GPU, with TensorRT's words; kUnavailable: CUDA's own.
-  [[nodiscard]] static Result<std::unique_ptr<Session>> open(Model model, int index = 0) {
+  [[nodiscard]] static Result<std::unique_ptr<Session>> open(Model model, int index = 0,
+                                                             int levels = 0) {
     std::unique_ptr<Session> made(new Session(std::move(model)));
-    XAUTO_ASSIGN(made->cuda_, cuda::Context::create(index));
+    XAUTO_ASSIGN(made->cuda_, cuda::Context::create(index, levels));
     const cuda::Context::Scope scope(*made->cuda_);
     XAUTO_TRY(scope.entered());
     XAUTO_TRY(made->load());
     XAUTO_TRY(made->bind());
     XAUTO_TRY(made->run());
     return made;
+  }
+  /// In an `init`: on this instance, as the run orders its jobs.
+  [[nodiscard]] static Result<std::unique_ptr<Session>> open(Model model, const XpuId& xpu) {
+    return open(std::move(model), xpu.index, xauto::levels(xpu));
   }
   Session(const Session&) = delete;
   Session& operator=(const Session&) = delete;
@@ -140,7 +146,7 @@ class Session {
   }
 
   /// Behind which all of its work is queued.
-  [[nodiscard]] SchedHandle handle() const { return SchedHandle::cuda_context(cuda_->get()); }
+  [[nodiscard]] SchedHandle handle() const { return cuda_->handle(); }
 
  private:
   struct Buffer {

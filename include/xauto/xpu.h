@@ -65,9 +65,10 @@ class SchedHandle {
     kCudlaDevice,  ///< a cudlaDevHandle; its queue is found and suspended
     kEmulated,     ///< a context of xauto-emud, see emu.h
     kCustom,       ///< two functions of the app's
+    kLevels,       ///< likewise, of an XPU that preempts by priority levels
   };
 
-  struct Callbacks;  ///< of custom(); the library's
+  struct Callbacks;  ///< of custom() and on_levels(); the library's
 
   /// gate()
   SchedHandle() = default;
@@ -107,13 +108,21 @@ class SchedHandle {
   [[nodiscard]] static SchedHandle custom(std::function<Status()> suspend,
                                           std::function<Status()> resume);
 
+  /// For an XPU whose hardware preempts by priority levels (`"levels"` in platform.json), and whose queues are the
+  /// app's: CUDA streams (cuda.h makes such a handle), Vulkan or Level Zero queues. `take(level)`: what this XNode
+  /// queues from now on runs on that level, 0 being the lowest of levels(). It is called on the execution thread
+  /// before each job; a level is no other job's as long as that one has started and not ended. So `exec` has to wait
+  /// for its work. An error leaves the work where it was, and is counted. `xauto profile` times each XNode on the
+  /// highest level also beside others on the lowest: how long it waits for what cannot be taken off is in its WCET.
+  [[nodiscard]] static SchedHandle on_levels(std::function<Status(int level)> take);
+
   /// The kind.
   [[nodiscard]] Kind kind() const { return kind_; }
   /// The name of the function above that made it.
   [[nodiscard]] const char* kind_name() const;
-  /// The pointer or number given; 0 for gate(), thread() and custom().
+  /// The pointer or number given; 0 for gate(), thread(), custom() and on_levels().
   [[nodiscard]] std::uintptr_t value() const { return value_; }
-  /// Of custom(); else null.
+  /// Of custom() and on_levels(); else null.
   [[nodiscard]] const Callbacks* callbacks() const { return callbacks_.get(); }
   /// Of the same thing.
   bool operator==(const SchedHandle&) const = default;
@@ -124,6 +133,10 @@ class SchedHandle {
   std::uintptr_t value_ = 0;
   std::shared_ptr<const Callbacks> callbacks_;
 };
+
+/// Within an `init`: by how many priority levels jobs are started on this XPU (`"levels"` in platform.json). 0: by none;
+/// jobs are suspended, or one runs at a time, or nobody schedules. Elsewhere: 0.
+[[nodiscard]] int levels(const XpuId& xpu);
 
 /// For a CUcontext or a cudlaDevHandle that is not made in an `init`, but in main() or by a library.
 /// Calls `make`, which makes it, and returns the handle that `make` returned. What appears meanwhile

@@ -36,7 +36,9 @@ std::vector<JoinXpu> shareable_xpus(const runtime::Session& session) {
   for (std::size_t x = 0; x < real.size(); ++x) {
     const Xpu& spec = session.platform.xpus[x];
     const Discipline discipline = xpu::discipline_of(spec, false, session.cpu.by_keys);
-    if (real[x].hardware.empty() || discipline == Discipline::kKernel) continue;
+    if (real[x].hardware.empty() || discipline == Discipline::kKernel ||
+        xpu::orders_one_process(spec, false))
+      continue;  // Linux's, or ordered in one process alone
     JoinXpu& xpu = found.emplace_back();
     std::strncpy(xpu.id, spec.id.c_str(), sizeof xpu.id - 1);
     std::strncpy(xpu.hardware, real[x].hardware.c_str(), sizeof xpu.hardware - 1);

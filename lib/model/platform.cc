@@ -86,8 +86,9 @@ Result<Platform> Platform::builtin(std::string_view name) {
 std::string unmeasured(const Xpu& xpu) {
   if (!xpu.preemptive || xpu.preempt_measured) return {};
   return xpu.id + ": that a preemption costs at most " + std::to_string(xpu.preempt_us) +
-         " us: nobody has measured it on this platform; a run compares it with what suspending "
-         "takes";
+         " us: nobody has measured it on this platform; " +
+         (xpu.levels > 0 ? "`xauto profile` times jobs beside less urgent ones"
+                         : "a run compares it with what suspending takes");
 }
 
 Status validate(const Platform& platform) {

@@ -4,7 +4,8 @@
 // runs on the p-th of its XPU instances; there are as many passes as the XNode with most instances
 // has, and each pass replays the input from its start with fresh module states. Passes of the variants
 // come after those: an XNode that is not timed runs its own implementation. Nothing else runs
-// meanwhile. With --contended all passes come again for each co-run class, beside its load (corun.h);
+// meanwhile; but on XPUs with levels all passes come again with one less urgent XNode beside each (below.h). With
+// --contended all passes come again for each co-run class, beside its load (corun.h);
 // with --audit each exec is followed by as long a time in which nothing runs (audit.h). The thread
 // that asked for the profile watches: when it is told to stop, or when an exec takes too long, it
 // answers with what there is, and the other thread is left behind.
@@ -35,9 +36,13 @@
 #include "model/json.h"
 #include "processes/parameters.h"
 #include "xpu/backend.h"
+#include "xpu/callbacks.h"
+#include "xpu/kind.h"
+#include "xpu/levels.h"
 #include "xpu/presence.h"
 
 #include "profile/audit.h"
+#include "profile/below.h"
 #include "profile/corun.h"
 #include "profile/machine_readings.h"
 #include "profile/profile_input.h"
@@ -172,7 +177,7 @@ class Run {
       }
       if (!beside.empty()) note_class(beside);
     }
-    return {};
+    return level_passes();
   }
 
   /// One release, then the XNodes on session.load.xpu again and again, as the words want it.
@@ -319,6 +324,7 @@ class Run {
     Alternatives on;           ///< [node]
     std::vector<bool> counts;  ///< [node] whether it is timed, once it is warm
     std::string beside = {};   ///< as in Where
+    bool above = false;        ///< each on the highest level, above another one
     int only = -1;  ///< only those on this XPU, on what the release before has left; -1: all
   };
   struct Taken {
@@ -444,7 +450,8 @@ class Run {
 
   /// Each XNode as each of `all[node]`, one per pass; where that is none, as one of its own, for those
   /// behind it. `beside`: a co-run class; "": alone.
-  Status run_passes(const std::vector<Alternatives>& all, const std::string& beside) {
+  Status run_passes(const std::vector<Alternatives>& all, const std::string& beside,
+                    bool above = false) {
     std::size_t passes = 0;
     for (const Alternatives& of_node : all) passes = std::max(passes, of_node.size());
     const std::uint64_t total = passes * (session_.profile.warmup + session_.profile.repetitions);
@@ -455,7 +462,9 @@ class Run {
       XAUTO_ASSIGN(ProfileInput feed, ProfileInput::open(app_, graph_, session_, *inlets_));
       newest_.assign(graph_.topics.size(), nullptr);
       make_states();
-      Placing placing{{}, {}, beside};
+      Placing placing{{}, {}, beside, above};
+      bound_.clear();
+      bound_.resize(graph_.modules.size());
       for (std::size_t n = 0; n < all.size(); ++n) {
         // Each once: a later pass that comes round to it again adds nothing new.
         placing.counts.push_back(pass < all[n].size());
@@ -487,6 +496,77 @@ class Run {
     return {};
   }
 
+  /// For each type of XPU with levels, once more.
+  Status level_passes() {
+    std::set<std::string> types;
+    for (const auto& [n, active] : active_)
+      if (active.made.handle.kind() == SchedHandle::Kind::kLevels)
+        types.insert(xpu(active.xpu).type);
+    for (const std::string& type : types) {
+      XAUTO_ASSIGN(below_, Below::start());
+      XAUTO_TRY(run_passes(alternatives_, type, true));
+      XAUTO_TRY(run_passes(variants_, type, true));
+      below_.reset();
+      const Guard lock(mutex_);
+      std::string& what = beside_[type];
+      what +=
+          std::string(what.empty() ? "" : "; ") + "XNodes of other modules, on the lowest level";
+    }
+    return {};
+  }
+
+  /// What an XNode of a module hears.
+  struct Bound {
+    std::vector<detail::TopicSpec> topics;
+    Input input = InputAccess::make();
+  };
+
+  /// Has another XNode run below `n`, on what its module heard last, again and again. False: there is none.
+  Result<bool> begin_below(int n, const Alternative& as, std::uint64_t k) {
+    std::vector<int> others;
+    for (const auto& [other, active] : active_) {
+      const int module = graph_.nodes[static_cast<std::size_t>(other)].module;
+      if (module != graph_.nodes[static_cast<std::size_t>(n)].module && active.xpu == as.xpu &&
+          active.made.handle.kind() == SchedHandle::Kind::kLevels &&
+          bound_[static_cast<std::size_t>(module)] != nullptr)
+        others.push_back(other);
+    }
+    const SchedHandle& handle = active_[n].made.handle;
+    if (others.empty() || handle.kind() != SchedHandle::Kind::kLevels) return false;
+    const int other = others[k % others.size()];
+    XAUTO_TRY(handle.callbacks()->take(xpu::levels_of(xpu(as.xpu), false) - 1));
+    below_->begin([this, other] { return run_below(other); });
+    // At several phases of its.
+    sleep_until_ns(now_ns() +
+                   usual_ns(other) * static_cast<std::int64_t>(k / others.size() % 4) / 4);
+    return true;
+  }
+
+  Status end_below(int n) {
+    XAUTO_TRY(below_->end());
+    return active_[n].made.handle.callbacks()->take(0);
+  }
+
+  /// On the thread of below_.
+  Status run_below(int n) {
+    const Graph::Node& node = graph_.nodes[static_cast<std::size_t>(n)];
+    const auto module = static_cast<std::size_t>(node.module);
+    const Active& active = active_.at(n);
+    const std::string where =
+        "exec of XNode '" + node.name + "' on " + xpu(active.xpu).id + ", below another one";
+    XAUTO_TRY(active.made.handle.callbacks()->take(0));
+    return exec_here(*active.impl, active, states_[module].get(), bound_[module]->input, where);
+  }
+
+  /// How long it takes; 0: it was not timed.
+  [[nodiscard]] std::int64_t usual_ns(int n) {
+    const Active& active = active_.at(n);
+    const Guard lock(mutex_);
+    const auto& of_node = samples_[static_cast<std::size_t>(n)];
+    const auto at = of_node.find({"", {active.xpu, active.impl}});
+    return at == of_node.end() || at->second.us.empty() ? 0 : at->second.us.back() * 1000;
+  }
+
   void make_states() {
     states_.clear();
     for (const Graph::Module& module : graph_.modules) states_.push_back(module.spec->make_state());
@@ -495,10 +575,13 @@ class Run {
   Status run_module(int m, const Placing& placing, std::uint64_t k, Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
     void* const state = states_[static_cast<std::size_t>(m)].get();
-    Input input = InputAccess::make();
-    std::vector<detail::TopicSpec> topics = module.spec->inputs;
-    for (const detail::SampleSpec& sample : module.spec->samples) topics.push_back(sample.topic);
-    InputAccess::bind(input, &topics, module.inputs.size());
+    if (bound_.empty()) bound_.resize(graph_.modules.size());
+    Bound& bound = *(bound_[static_cast<std::size_t>(m)] = std::make_unique<Bound>());
+    bound.topics = module.spec->inputs;
+    for (const detail::SampleSpec& sample : module.spec->samples)
+      bound.topics.push_back(sample.topic);
+    Input& input = bound.input;
+    InputAccess::bind(input, &bound.topics, module.inputs.size());
     InputAccess::parameters(input) = parameters_[static_cast<std::size_t>(m)];
     InputAccess::stamp(input, now_ns(), k);
     InputAccess::begin(input, now_ns());
@@ -520,7 +603,11 @@ class Run {
       const std::string where = "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(at).id;
       bool count = placing.counts[index];
       const bool emulated = active_[n].emulated;
-      if (count && !placing.beside.empty()) {
+      bool below = false;
+      if (count && placing.above) {
+        XAUTO_ASSIGN(below, begin_below(n, as, k));
+        count = below;
+      } else if (count && !placing.beside.empty()) {
         count = corun_->beside(placing.beside, {at, emulated, core_now_});
       } else if (corun_) {
         corun_->rest();
@@ -532,18 +619,10 @@ class Run {
         exec_since_ns_ = now_ns();
       }
       const std::int64_t before = now_ns();
-      try {
-        if (Status status = as.impl->exec(active_[n].made.object.get(), state, input); !status) {
-          Error error = std::move(status).error();
-          error.where = error.where.empty() ? where : where + ": " + error.where;
-          return tl::unexpected<Error>(std::move(error));
-        }
-      } catch (const std::exception& e) {
-        return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
-      } catch (...) {
-        return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
-      }
+      const Status ran = exec_here(*as.impl, active_[n], state, input, where);
       const std::int64_t us = (now_ns() - before + 999) / 1000;
+      if (below) XAUTO_TRY(end_below(n));
+      XAUTO_TRY(ran);
       {
         const Guard lock(mutex_);
         exec_since_ns_ = 0;
@@ -565,6 +644,23 @@ class Run {
       messages[static_cast<std::size_t>(module.outputs[i])] =
           module.spec->outputs[i].take(state, nullptr);
     return {};
+  }
+
+  struct Active;
+  /// What it throws is an error, too.
+  static Status exec_here(const detail::ImplSpec& impl, const Active& active, void* state,
+                          const Input& input, const std::string& where) {
+    try {
+      Status status = impl.exec(active.made.object.get(), state, input);
+      if (status) return {};
+      Error error = std::move(status).error();
+      error.where = error.where.empty() ? where : where + ": " + error.where;
+      return tl::unexpected<Error>(std::move(error));
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
+    } catch (...) {
+      return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
+    }
   }
 
   /// Resident memory before the first init of that kind; nullopt: it is known, or nobody tells.
@@ -610,6 +706,7 @@ class Run {
       active_.erase(n);  // its object goes before the next one comes
       detail::Made made;
       const auto before_kb = memory_before(n, as);
+      const xpu::TellLevels tell(xpu::levels_of(x, presence == Presence::kEmulated));
       try {
         made.handle = as.impl->init(id, state.get(), made.object);
       } catch (const std::exception& e) {
@@ -659,7 +756,9 @@ class Run {
   MachineReadings machine_;                                  ///< the thread of `run`
   std::optional<Corun> corun_;                               ///< with --contended; likewise
   std::optional<Audit> audit_;                               ///< with --audit; likewise
-  std::size_t questions_ XAUTO_GUARDED_BY(mutex_) = 0;       ///< of the audit
+  std::unique_ptr<Below> below_;                             ///< on XPUs with levels; likewise
+  std::vector<std::unique_ptr<Bound>> bound_;           ///< [module] of this release or the last
+  std::size_t questions_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< of the audit
   using Texts = std::map<std::string, std::string, std::less<>>;
   Texts beside_ XAUTO_GUARDED_BY(mutex_), not_beside_ XAUTO_GUARDED_BY(mutex_);  ///< by class
   std::vector<Reading> readings_ XAUTO_GUARDED_BY(mutex_);

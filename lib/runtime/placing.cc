@@ -152,6 +152,23 @@ void note_caveats(const Session& session, std::string& note) {
   }
 }
 
+/// Processes of the run that have XNodes on it.
+std::size_t processes_on(const Session& session, std::size_t x) {
+  std::set<std::size_t> processes;
+  for (std::size_t t = 0; t < session.num_tables(); ++t) {
+    const std::vector<PriorityPlacement>& placements = session.of_table(t).placements;
+    for (std::size_t i = 0; i < placements.size(); ++i) {
+      if (placements[i].xpu != static_cast<int>(x)) continue;
+      const auto& all = session.parts.modules;
+      const auto has = [&](const std::vector<std::string>& one) {
+        return std::ranges::find(one, session.app.xnodes[i].module) != one.end();
+      };
+      processes.insert(static_cast<std::size_t>(std::ranges::find_if(all, has) - all.begin()));
+    }
+  }
+  return processes.size();
+}
+
 /// What both kinds of policies plan with, and the machine does not do.
 std::vector<std::string> unkept_by_xpus(const Session& session) {
   std::vector<std::string> lines;
@@ -161,6 +178,12 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
     const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu.by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
       lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
+    if (const std::size_t processes = processes_on(session, x);
+        processes > 1 && xpu::orders_one_process(xpu, false))
+      lines.push_back(fmt::format(
+          "work on {} is ordered within one process, and {} have some: run its modules in one, "
+          "or plan without \"levels\"",
+          xpu.id, processes));
     if (discipline == Discipline::kLevels)
       if (const int there = xpu::levels_of(xpu, false); xpu.levels == 0 || there < xpu.levels)
         lines.push_back(fmt::format(

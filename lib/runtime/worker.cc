@@ -18,6 +18,7 @@
 #include "base/rt.h"
 #include "base/thread.h"
 #include "runtime/early_start.h"
+#include "xpu/levels.h"
 
 namespace xauto::runtime {
 namespace {
@@ -92,6 +93,7 @@ Status Worker::init_nodes() {
     detail::Made& made = placed.here->made;
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
     XAUTO_ASSIGN(const xpu::Backend::Init around, backend_->before_init());
+    const xpu::TellLevels tell(levels_here());
     try {
       made.handle = placed.impl->init(options_.backend.id, chain_.activation->state(), made.object);
     } catch (const std::exception& e) {
@@ -113,6 +115,12 @@ Status Worker::init_nodes() {
     if (node->worker == this)
       thread_->expect(node->task, node->urgency.of_release(now_ns(), 0, false));
   return {};
+}
+
+/// What xauto::levels() says in its inits.
+int Worker::levels_here() const {
+  const xpu::BackendRequest& on = options_.backend;
+  return on.scheduled ? xpu::levels_of(on.xpu, on.emulated) : 0;
 }
 
 /// Nothing of its jobs belongs to its thread.

@@ -125,6 +125,7 @@ class Worker {
   void tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who);
   [[nodiscard]] Status init_nodes();
   [[nodiscard]] bool may_share() const;
+  [[nodiscard]] int levels_here() const;
   void destroy_objects(bool ran);
   void run_chain(std::size_t node, bool begun);
   bool run_job(const Placed* chain, std::size_t position, bool begun);

@@ -78,6 +78,8 @@ inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_by_keys(const XpuId& xpu);
 /// What the app suspends itself, by SchedHandle::custom (custom.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_custom(const XpuId& xpu);
+/// What the app puts on priority levels itself, by SchedHandle::on_levels (custom.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_on_levels(const XpuId& xpu);
 /// A GPU or DLA of nvgpu or nvdla, or of the emulator modules, through xauto.ko (kernel_queue.cc).
 /// kUnavailable when the module is not loaded.
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_kernel_queue(const XpuId& xpu);

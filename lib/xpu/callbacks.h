@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is behind a SchedHandle::custom().
+// What is behind a SchedHandle::custom() or on_levels().
 #pragma once
 
 #include <functional>
@@ -9,7 +9,8 @@
 namespace xauto {
 
 struct SchedHandle::Callbacks {
-  std::function<Status()> suspend, resume;
+  std::function<Status()> suspend, resume;  ///< of custom()
+  std::function<Status(int)> take;          ///< of on_levels()
 };
 
 }  // namespace xauto

@@ -5,6 +5,7 @@
 
 #include <sys/stat.h>
 
+#include "kernel/cuda_levels.h"
 #include "kernel/device_nodes.h"
 #include "kernel/i915_contexts.h"
 
@@ -26,6 +27,26 @@ std::vector<std::string> nodes(const char* const (&list)[N]) {
 constexpr const char* kByItself =
     "suspended by each process itself: one that hangs resumes nobody until it is killed";
 
+/// A Jetson's GPU or DLA.
+Way by_module() {
+  return {.name = "xauto.ko", .backend = make_kernel_queue, .there = kernel::module_is_loaded};
+}
+Way by_itself() {
+  return {.name = "own", .backend = make_own_queue, .caveat = kByItself};
+}
+
+/// Where the platform states levels: by the app's CUDA streams, on NVIDIA's GPUs.
+Way streams() {
+  return {.name = "streams",
+          .discipline = Discipline::kLevels,
+          .backend = make_on_levels,
+          .one_process = true,
+          .ask = [] { return kernel::cuda_stream_levels(); },
+          .caveat =
+              "put on stream priorities by the app itself, which CUDA calls a hint: a more urgent "
+              "job waits for the blocks that run, and copies have no priority"};
+}
+
 }  // namespace
 
 const std::vector<Kind>& kinds() {
@@ -36,19 +57,17 @@ const std::vector<Kind>& kinds() {
        .backend_by_keys = make_cpu_by_keys},
       {.type = "gpu",
        .nodes = nodes(kernel::kGpuNodes),
-       .ways = {{.name = "xauto.ko",
-                 .backend = make_kernel_queue,
-                 .there = kernel::module_is_loaded},
-                {.name = "own", .backend = make_own_queue, .caveat = kByItself}},
+       .ways = {by_module(), by_itself(), streams()},
        .preempt_us = 275,
        .timeslice_us = 1000,
        .what = "a Jetson's GPU",
        .driver = "nvgpu",
        .advice = "needs a Jetson with NVIDIA's kernel"},
-      // Nobody has measured these costs: each preemption is a message to the GPU's GSP.
+      // Nobody has measured these costs: a preemption waits for blocks, or is a message to the GPU's GSP.
       {.type = "gpu",
        .nodes = nodes(kernel::kRmNodes),
-       .ways = {{.name = "rm", .backend = make_rm, .watched = true, .caveat = kByItself}},
+       .ways = {{.name = "rm", .backend = make_rm, .watched = true, .caveat = kByItself},
+                streams()},
        .preempt_us = 1000,
        .timeslice_us = 1000,
        .measured = false,
@@ -83,10 +102,7 @@ const std::vector<Kind>& kinds() {
       {.type = "dla",
        .nodes = nodes(kernel::kDlaNodes),
        .node_each = true,
-       .ways = {{.name = "xauto.ko",
-                 .backend = make_kernel_queue,
-                 .there = kernel::module_is_loaded},
-                {.name = "own", .backend = make_own_queue, .caveat = kByItself}},
+       .ways = {by_module(), by_itself()},
        .preempt_us = 132,
        .timeslice_us = 1000,
        .what = "a Jetson's DLA",
@@ -103,9 +119,38 @@ const std::vector<Kind>& kinds() {
        .what = "a Jetson's Programmable Vision Accelerator",
        .driver = "PVA",
        .advice = "needs a Jetson Xavier or Orin with NVIDIA's kernel"},
-      {.type = "", .ways = {{.name = "custom", .backend = make_custom}}},
+      {.type = "",
+       .ways = {{.name = "custom", .backend = make_custom},
+                {.name = "levels",
+                 .discipline = Discipline::kLevels,
+                 .backend = make_on_levels,
+                 .one_process = true}}},
   };
   return table;
+}
+
+namespace {
+
+const Way* asked_way(const Kind& kind) {
+  const auto way = std::ranges::find_if(kind.ways, [](const Way& w) { return w.ask != nullptr; });
+  return way == kind.ways.end() ? nullptr : &*way;
+}
+
+/// What a platform file may say instead.
+std::string or_by_levels(const Kind& kind, const std::string& root) {
+  const Way* way = asked_way(kind);
+  const int levels = way == nullptr || !root.empty() ? 0 : way->ask();
+  return levels == 0 ? std::string()
+                     : "; or with \"levels\": " + std::to_string(levels) +
+                           " in the platform file, " + way->caveat;
+}
+
+}  // namespace
+
+int levels_to_state(const Kind& kind) {
+  if (const Way* way = way_of(kind); way != nullptr && way->levels != nullptr) return way->levels();
+  if (kind.ways.empty() || kind.ways.front().ask == nullptr) return 0;
+  return kind.ways.front().ask();
 }
 
 std::vector<kernel::Device> devices(const std::vector<Kind>& table) {
@@ -117,7 +162,9 @@ std::vector<kernel::Device> devices(const std::vector<Kind>& table) {
                            const Way* way = way_of(kind, root);
                            if (way == nullptr || (way->levels != nullptr && way->levels() < 2))
                              return std::string("gated: nobody can suspend its work");
-                           return way->caveat.empty() ? "suspended by " + way->name : way->caveat;
+                           return (way->caveat.empty() ? "suspended by " + way->name
+                                                       : way->caveat) +
+                                  or_by_levels(kind, root);
                          }});
   return devices;
 }
@@ -133,12 +180,25 @@ const Kind& kind_of(const std::string& type, const std::vector<Kind>& table) {
   return first != nullptr ? *first : *own;
 }
 
-const Way* way_of(const Kind& kind, const std::string& root) {
+const Way* way_of(const Kind& kind, const std::string& root, bool levels) {
   const bool here = kind.nodes.empty() || any_there(root, kind.nodes);
-  for (const Way& way : kind.ways)
-    if (way.there == nullptr ? here : way.there(root)) return &way;
-  return nullptr;
+  const Way* first = nullptr;
+  for (const Way& way : kind.ways) {
+    if (!(way.there == nullptr ? here : way.there(root))) continue;
+    const bool has_levels = way.discipline == Discipline::kLevels;
+    if (levels && has_levels) return &way;
+    if (first == nullptr && (!has_levels || way.levels != nullptr)) first = &way;
+  }
+  return first;
 }
+
+namespace {
+
+const Way* way_to(const Xpu& xpu, const std::vector<Kind>& table) {
+  return way_of(kind_of(xpu.type, table), {}, xpu.levels > 0);
+}
+
+}  // namespace
 
 Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
                          const std::vector<Kind>& table) {
@@ -146,7 +206,7 @@ Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
   if (emulated) return xpu.levels > 0 ? Discipline::kLevels : Discipline::kPreemptive;
   const Kind& kind = kind_of(xpu.type, table);
   if (by_keys && kind.backend_by_keys != nullptr) return Discipline::kPreemptive;
-  const Way* way = way_of(kind);
+  const Way* way = way_to(xpu, table);
   if (way == nullptr) return Discipline::kGate;
   return way->levels != nullptr && way->levels() < 2 ? Discipline::kGate : way->discipline;
 }
@@ -154,7 +214,7 @@ Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
 namespace {
 
 const Way* way_in_use(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
-  return emulated || !xpu.preemptive ? nullptr : way_of(kind_of(xpu.type, table));
+  return emulated || !xpu.preemptive ? nullptr : way_to(xpu, table);
 }
 
 }  // namespace
@@ -162,8 +222,15 @@ const Way* way_in_use(const Xpu& xpu, bool emulated, const std::vector<Kind>& ta
 int levels_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
   if (discipline_of(xpu, emulated, false, table) != Discipline::kLevels) return 0;
   if (emulated) return xpu.levels;
-  const int there = way_of(kind_of(xpu.type, table))->levels();
+  const Way* way = way_to(xpu, table);
+  if (way->levels == nullptr) return xpu.levels;
+  const int there = way->levels();
   return xpu.levels > 0 ? std::min(xpu.levels, there) : there;
+}
+
+bool orders_one_process(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  const Way* way = way_in_use(xpu, emulated, table);
+  return way != nullptr && way->one_process;
 }
 
 std::string caveat_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
@@ -185,7 +252,7 @@ Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
   if (request.emulated && !(request.emulator_modules && is_by_modules(request.xpu, table)))
     return make_emulated(request.scheduled);
   const Kind& kind = kind_of(request.xpu.type, table);
-  const Way* way = way_of(kind);
+  const Way* way = way_to(request.xpu, table);
   if (!request.scheduled || !request.xpu.preemptive || way == nullptr) return make_gate();
   return request.by_keys && kind.backend_by_keys != nullptr ? kind.backend_by_keys(request.id)
                                                             : way->backend(request.id);

@@ -27,8 +27,13 @@ struct Way {
   Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
   /// Whether this machine has it; `root` stands for / in tests. None: where the XPU is.
   bool (*there)(const std::string& root) = nullptr;
-  /// Of Discipline::kLevels: how many levels the hardware gives this process; 0: no order is kept.
+  /// Of Discipline::kLevels: how many levels the hardware gives this process; 0: no order is kept. None: the way is
+  /// taken where the platform states levels, since the app's own queues have them.
   int (*levels)() = nullptr;
+  /// Such levels order the work of one process alone.
+  bool one_process = false;
+  /// How many of them this machine has, for who writes a platform file; 0: nobody says. It may take a second.
+  int (*ask)() = nullptr;
   bool watched = false;  ///< libxauto_watch.so must be in the app's process
   /// What it cannot promise, for `xauto doctor` and the report: "suspended by ...: ...".
   std::string caveat = {};
@@ -55,6 +60,9 @@ struct Kind {
 /// The table: cpu, gpu, dla, vic, pva, and what an app brings itself.
 [[nodiscard]] const std::vector<Kind>& kinds();
 
+/// How many levels a platform file of this machine states; 0: none, its work is suspended, or gated.
+[[nodiscard]] int levels_to_state(const Kind& kind);
+
 /// Those that need a driver, for `xauto doctor`.
 [[nodiscard]] std::vector<kernel::Device> devices(const std::vector<Kind>& table = kinds());
 
@@ -62,8 +70,9 @@ struct Kind {
 [[nodiscard]] const Kind& kind_of(const std::string& type,
                                   const std::vector<Kind>& table = kinds());
 
-/// How work on a preemptive XPU of this machine is suspended; null: it cannot be.
-[[nodiscard]] const Way* way_of(const Kind& kind, const std::string& root = {});
+/// How work on a preemptive XPU of this machine is suspended; null: it cannot be. `levels`: the platform states some.
+[[nodiscard]] const Way* way_of(const Kind& kind, const std::string& root = {},
+                                bool levels = false);
 
 /// Of an XPU of a run: what is not preemptive is gated, what is emulated is preempted by the
 /// emulator, else the row decides. `by_keys`: Session::cpu_by_keys.
@@ -74,6 +83,10 @@ struct Kind {
 /// hardware has. 0: it is not by levels that it preempts.
 [[nodiscard]] int levels_of(const Xpu& xpu, bool emulated,
                             const std::vector<Kind>& table = kinds());
+
+/// Whether the order on it holds among the jobs of one process alone.
+[[nodiscard]] bool orders_one_process(const Xpu& xpu, bool emulated,
+                                      const std::vector<Kind>& table = kinds());
 
 /// What cannot be promised of it in such a run, though it is preemptive: "suspended by each process
 /// itself: ...", or "".

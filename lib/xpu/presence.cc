@@ -172,10 +172,11 @@ Platform platform_of(const Hardware& machine, const std::string& name,
       xpu.preempt_measured = kind.measured;
       if (!here) {
         xpu.emulated = true;
+      } else if (const int levels = levels_to_state(kind); levels >= 2) {
+        xpu.levels = levels;
+        if (kind.ways.front().ask != nullptr) xpu.preempt_us = 0;  // `profile` has it in the WCETs
       } else if (const Way* way = way_of(kind); way != nullptr && way->levels != nullptr) {
-        xpu.levels = way->levels();
-        xpu.preemptive = xpu.levels >= 2;
-        if (!xpu.preemptive) xpu.levels = 0;
+        xpu.preemptive = false;
       }
       platform.xpus.push_back(std::move(xpu));
     }

@@ -7,7 +7,13 @@ namespace xauto {
 SchedHandle SchedHandle::custom(std::function<Status()> suspend, std::function<Status()> resume) {
   SchedHandle handle{Kind::kCustom, 0};
   handle.callbacks_ =
-      std::make_shared<const Callbacks>(Callbacks{std::move(suspend), std::move(resume)});
+      std::make_shared<const Callbacks>(Callbacks{std::move(suspend), std::move(resume), {}});
+  return handle;
+}
+
+SchedHandle SchedHandle::on_levels(std::function<Status(int)> take) {
+  SchedHandle handle{Kind::kLevels, 0};
+  handle.callbacks_ = std::make_shared<const Callbacks>(Callbacks{{}, {}, std::move(take)});
   return handle;
 }
 
@@ -25,6 +31,8 @@ const char* SchedHandle::kind_name() const {
       return "emulated";
     case Kind::kCustom:
       return "custom";
+    case Kind::kLevels:
+      return "on_levels";
   }
   return "?";
 }

@@ -156,7 +156,7 @@ def sockets(target, rng, until):
                 os.setuid(uid)
             own, held = random.Random(seed), []
             while time.monotonic() < until:
-                names = re.findall(rf" (\d{{4}}) \d\d +\d+ @(xauto/{target.tool.pid}-\S+)", pathlib.Path("/proc/net/unix").read_text())
+                names = re.findall(rf" (000[125]) \d\d +\d+ @(xauto/{target.tool.pid}-\S+)", pathlib.Path("/proc/net/unix").read_text())
                 for kind, name in set(names):
                     throw("\0" + name, int(kind, 16), own, held)
                 time.sleep(0.01)

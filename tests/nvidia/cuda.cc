@@ -1,19 +1,37 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda.h"
 
+#include <algorithm>
+#include <condition_variable>
 #include <cstring>
+#include <deque>
+#include <iterator>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <utility>
 #include <vector>
 
 #include "fake.h"
 
 struct CUstream_st {
-  std::vector<std::function<void()>> work;
+  CUcontext context = nullptr;
+  int priority = 0;  ///< the greatest is the smallest number
+  std::deque<std::function<void()>> blocks = {};
+  bool running = false;  ///< its first block does, which has left the list
+  bool capturing = false;
 };
 struct CUctx_st {
-  std::unique_ptr<CUstream_st> stream;
+  bool primary = false;
+  int users = 0;  ///< of a primary one
+  std::vector<std::unique_ptr<CUstream_st>> streams = {};
+};
+struct CUgraph_st {
+  std::vector<std::function<void()>> blocks;
+};
+struct CUgraphExec_st {
+  CUcontext context = nullptr;
+  std::vector<std::function<void()>> blocks = {};
 };
 
 namespace {
@@ -23,11 +41,51 @@ struct Memory {
   CUcontext context;
   bool mapped;  ///< for the GPU
 };
+std::mutex gpu;  ///< of all below
+std::condition_variable block_ended;
+bool busy = false;  ///< a block runs
 std::map<const void*, Memory> memory;
-int contexts = 0, failing = -1;
-std::vector<CUcontext> stack;
+std::vector<std::unique_ptr<CUctx_st>> contexts;
+int graphs = 0, failing = -1, priorities = 6;
+thread_local std::vector<CUcontext> stack;
+
+/// Of a live context; null: none has such a stream.
+CUstream_st* find(CUstream stream) {
+  for (const auto& context : contexts)
+    for (const auto& one : context->streams)
+      if (one.get() == stream) return stream;
+  return nullptr;
+}
+CUctx_st* find(CUcontext context) {
+  for (const auto& one : contexts)
+    if (one.get() == context) return context;
+  return nullptr;
+}
+CUstream_st* next_of(const CUctx_st& context) {
+  CUstream_st* next = nullptr;
+  for (const auto& stream : context.streams)
+    if (!stream->blocks.empty() && !stream->capturing &&
+        (next == nullptr || stream->priority < next->priority))
+      next = stream.get();
+  return next;
+}
+CUresult create(CUstream* made, unsigned flags, int priority) {
+  const std::lock_guard lock(gpu);
+  if (stack.empty() || find(stack.back()) == nullptr) return CUDA_ERROR_INVALID_CONTEXT;
+  if (flags != CU_STREAM_NON_BLOCKING) return CUDA_ERROR_INVALID_VALUE;
+  stack.back()->streams.push_back(
+      std::make_unique<CUstream_st>(CUstream_st{stack.back(), priority}));
+  *made = stack.back()->streams.back().get();
+  return CUDA_SUCCESS;
+}
+bool queue(CUstream stream, std::function<void()> block) {
+  if (stack.empty() || find(stream) == nullptr || stream->context != stack.back()) return false;
+  stream->blocks.push_back(std::move(block));
+  return true;
+}
 
 CUresult allocate(void** made, std::size_t bytes, bool mapped) {
+  const std::lock_guard lock(gpu);
   if (stack.empty()) return CUDA_ERROR_INVALID_CONTEXT;
   if (bytes == 0) return CUDA_ERROR_INVALID_VALUE;
   Memory block{std::vector<std::byte>(bytes, std::byte{0xAA}), stack.back(), mapped};
@@ -36,6 +94,7 @@ CUresult allocate(void** made, std::size_t bytes, bool mapped) {
   return CUDA_SUCCESS;
 }
 CUresult release(const void* block) {
+  const std::lock_guard lock(gpu);
   const auto found = memory.find(block);
   if (found == memory.end()) return CUDA_ERROR_INVALID_VALUE;
   if (stack.empty() || found->second.context != stack.back()) return CUDA_ERROR_INVALID_CONTEXT;
@@ -56,17 +115,35 @@ CUresult copy(void* to, const void* from, std::size_t bytes, CUstream stream) {
 namespace fake {
 
 Alive alive() {
-  return {contexts, static_cast<int>(memory.size())};
+  const std::lock_guard lock(gpu);
+  int streams = 0;
+  for (const auto& context : contexts) streams += static_cast<int>(context->streams.size());
+  return {static_cast<int>(contexts.size()), streams, graphs, static_cast<int>(memory.size())};
 }
 CUcontext current() {
   return stack.empty() ? nullptr : stack.back();
 }
-bool enqueue(CUstream stream, std::function<void()> work) {
-  if (stack.empty() || stack.back()->stream.get() != stream) return false;
-  stream->work.push_back(std::move(work));
-  return true;
+bool enqueue(CUstream stream, std::function<void()> block) {
+  const std::lock_guard lock(gpu);
+  return queue(stream, std::move(block));
+}
+void set_priorities(int count) {
+  const std::lock_guard lock(gpu);
+  priorities = count;
+}
+std::size_t queued() {
+  const std::lock_guard lock(gpu);
+  std::size_t blocks = 0;
+  for (const auto& context : contexts)
+    for (const auto& stream : context->streams) blocks += stream->blocks.size();
+  return blocks;
+}
+int priority_of(CUstream stream) {
+  const std::lock_guard lock(gpu);
+  return -stream->priority;
 }
 bool is_memory(const void* address, std::size_t bytes) {
+  const std::lock_guard lock(gpu);
   const auto* at = static_cast<const std::byte*>(address);
   for (const auto& [begin, block] : memory) {
     const auto* from = static_cast<const std::byte*>(begin);
@@ -76,12 +153,16 @@ bool is_memory(const void* address, std::size_t bytes) {
   return false;
 }
 void fail_allocation(int number) {
+  const std::lock_guard lock(gpu);
   failing = number;
 }
 
 }  // namespace fake
 
 extern "C" {
+CUresult cuCtxPushCurrent_v2(CUcontext context);
+CUresult cuCtxPopCurrent_v2(CUcontext* context);
+CUresult cuDevicePrimaryCtxRelease_v2(CUdevice device);
 CUresult cuInit(unsigned flags) {
   return flags == 0 ? CUDA_SUCCESS : CUDA_ERROR_INVALID_VALUE;
 }
@@ -96,14 +177,37 @@ CUresult cuDeviceGet(CUdevice* device, int ordinal) {
   return ordinal == 0 ? CUDA_SUCCESS : CUDA_ERROR_INVALID_DEVICE;
 }
 CUresult cuCtxCreate(CUcontext* context, unsigned, CUdevice) {
-  *context = new CUctx_st;
-  ++contexts;
+  const std::lock_guard lock(gpu);
+  contexts.push_back(std::make_unique<CUctx_st>());
+  *context = contexts.back().get();
   stack.push_back(*context);
   return CUDA_SUCCESS;
 }
 CUresult cuCtxDestroy(CUcontext context) {
-  delete context;
-  --contexts;
+  const std::lock_guard lock(gpu);
+  if (find(context) == nullptr || context->primary) return CUDA_ERROR_INVALID_CONTEXT;
+  std::erase_if(contexts, [&](const auto& one) { return one.get() == context; });
+  return CUDA_SUCCESS;
+}
+CUresult cuDevicePrimaryCtxRetain(CUcontext* context, CUdevice device) {
+  const std::lock_guard lock(gpu);
+  if (device != 0) return CUDA_ERROR_INVALID_DEVICE;
+  auto primary =
+      std::find_if(contexts.begin(), contexts.end(), [](const auto& one) { return one->primary; });
+  if (primary == contexts.end()) {
+    contexts.push_back(std::make_unique<CUctx_st>(CUctx_st{true}));
+    primary = std::prev(contexts.end());
+  }
+  ++(*primary)->users;
+  *context = primary->get();
+  return CUDA_SUCCESS;
+}
+CUresult cuDevicePrimaryCtxRelease(CUdevice) {
+  const std::lock_guard lock(gpu);
+  const auto primary =
+      std::find_if(contexts.begin(), contexts.end(), [](const auto& one) { return one->primary; });
+  if (primary == contexts.end()) return CUDA_ERROR_INVALID_CONTEXT;
+  if (--(*primary)->users == 0) contexts.erase(primary);
   return CUDA_SUCCESS;
 }
 CUresult cuCtxPushCurrent(CUcontext context) {
@@ -116,14 +220,84 @@ CUresult cuCtxPopCurrent(CUcontext* context) {
   stack.pop_back();
   return CUDA_SUCCESS;
 }
-CUresult cuStreamCreate(CUstream* stream, unsigned) {
+CUresult cuCtxGetStreamPriorityRange(int* least, int* greatest) {
+  const std::lock_guard lock(gpu);
   if (stack.empty()) return CUDA_ERROR_INVALID_CONTEXT;
-  stack.back()->stream = std::make_unique<CUstream_st>();
-  *stream = stack.back()->stream.get();
+  *least = 0;
+  *greatest = 1 - priorities;
+  return CUDA_SUCCESS;
+}
+CUresult cuStreamCreate(CUstream* stream, unsigned flags) {
+  return create(stream, flags, 0);
+}
+CUresult cuStreamCreateWithPriority(CUstream* stream, unsigned flags, int priority) {
+  return create(stream, flags, std::clamp(priority, 1 - priorities, 0));  // as the guide says
+}
+CUresult cuStreamDestroy(CUstream stream) {
+  const std::lock_guard lock(gpu);
+  if (find(stream) == nullptr) return CUDA_ERROR_INVALID_VALUE;
+  std::erase_if(stream->context->streams, [&](const auto& one) { return one.get() == stream; });
   return CUDA_SUCCESS;
 }
 CUresult cuStreamSynchronize(CUstream stream) {
-  for (const auto& work : std::exchange(stream->work, {})) work();
+  std::unique_lock lock(gpu);
+  if (find(stream) == nullptr) return CUDA_ERROR_INVALID_VALUE;
+  if (stream->capturing) return CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED;
+  while (!stream->blocks.empty() || stream->running) {
+    if (busy) {
+      block_ended.wait(lock);
+      continue;
+    }
+    CUstream_st* next = next_of(*stream->context);
+    const std::function<void()> block = std::move(next->blocks.front());
+    next->blocks.pop_front();
+    next->running = busy = true;
+    lock.unlock();
+    block();
+    lock.lock();
+    next->running = busy = false;
+    block_ended.notify_all();
+  }
+  return CUDA_SUCCESS;
+}
+CUresult cuStreamBeginCapture(CUstream stream, CUstreamCaptureMode) {
+  const std::lock_guard lock(gpu);
+  if (stream->capturing || !stream->blocks.empty()) return CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED;
+  stream->capturing = true;
+  return CUDA_SUCCESS;
+}
+CUresult cuStreamEndCapture(CUstream stream, CUgraph* graph) {
+  const std::lock_guard lock(gpu);
+  if (!stream->capturing) return CUDA_ERROR_INVALID_VALUE;
+  stream->capturing = false;
+  *graph = new CUgraph_st{{stream->blocks.begin(), stream->blocks.end()}};
+  ++graphs;
+  stream->blocks.clear();
+  return CUDA_SUCCESS;
+}
+CUresult cuGraphInstantiateWithFlags(CUgraphExec* made, CUgraph graph, unsigned long long) {
+  const std::lock_guard lock(gpu);
+  *made = new CUgraphExec_st{stack.back(), graph->blocks};
+  ++graphs;
+  return CUDA_SUCCESS;
+}
+CUresult cuGraphLaunch(CUgraphExec graph, CUstream stream) {
+  const std::lock_guard lock(gpu);
+  for (const auto& block : graph->blocks)
+    if (!queue(stream, block)) return CUDA_ERROR_INVALID_CONTEXT;
+  return CUDA_SUCCESS;
+}
+CUresult cuGraphDestroy(CUgraph graph) {
+  const std::lock_guard lock(gpu);
+  delete graph;
+  --graphs;
+  return CUDA_SUCCESS;
+}
+CUresult cuGraphExecDestroy(CUgraphExec graph) {
+  const std::lock_guard lock(gpu);
+  if (stack.empty() || stack.back() != graph->context) return CUDA_ERROR_INVALID_CONTEXT;
+  delete graph;
+  --graphs;
   return CUDA_SUCCESS;
 }
 CUresult cuMemAlloc(CUdeviceptr* made, std::size_t bytes) {
@@ -136,10 +310,14 @@ CUresult cuMemFree(CUdeviceptr block) {
   return release(pointer(block));
 }
 CUresult cuMemHostAlloc(void** made, std::size_t bytes, unsigned flags) {
-  if (failing >= 0 && failing-- == 0) return CUDA_ERROR_OUT_OF_MEMORY;
+  {
+    const std::lock_guard lock(gpu);
+    if (failing >= 0 && failing-- == 0) return CUDA_ERROR_OUT_OF_MEMORY;
+  }
   return allocate(made, bytes, (flags & CU_MEMHOSTALLOC_DEVICEMAP) != 0);
 }
 CUresult cuMemHostGetDevicePointer(CUdeviceptr* device, void* host, unsigned) {
+  const std::lock_guard lock(gpu);
   const auto found = memory.find(host);
   if (found == memory.end() || !found->second.mapped) return CUDA_ERROR_INVALID_VALUE;
   *device = reinterpret_cast<CUdeviceptr>(host);
@@ -153,5 +331,16 @@ CUresult cuMemcpyHtoDAsync(CUdeviceptr to, const void* from, std::size_t bytes, 
 }
 CUresult cuMemcpyDtoHAsync(void* to, CUdeviceptr from, std::size_t bytes, CUstream stream) {
   return copy(to, pointer(from), bytes, stream);
+}
+
+// As the library exports them, beside what cuda.h calls them.
+CUresult cuCtxPushCurrent_v2(CUcontext context) {
+  return cuCtxPushCurrent(context);
+}
+CUresult cuCtxPopCurrent_v2(CUcontext* context) {
+  return cuCtxPopCurrent(context);
+}
+CUresult cuDevicePrimaryCtxRelease_v2(CUdevice device) {
+  return cuDevicePrimaryCtxRelease(device);
 }
 }

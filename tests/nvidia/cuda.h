@@ -13,6 +13,7 @@ enum CUresult {
   CUDA_ERROR_OUT_OF_MEMORY = 2,
   CUDA_ERROR_INVALID_DEVICE = 101,
   CUDA_ERROR_INVALID_CONTEXT = 201,
+  CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED = 900,
 };
 using CUdevice = int;
 using CUdeviceptr = unsigned long long;
@@ -21,9 +22,16 @@ using CUstream = struct CUstream_st*;
 using cudaStream_t = CUstream;  // as the runtime API has it
 using CUmodule = struct CUmod_st*;
 using CUfunction = struct CUfunc_st*;
+using CUgraph = struct CUgraph_st*;
+using CUgraphExec = struct CUgraphExec_st*;
 
 constexpr unsigned CU_STREAM_NON_BLOCKING = 1;
 constexpr unsigned CU_MEMHOSTALLOC_DEVICEMAP = 2;
+
+enum CUstreamCaptureMode {
+  CU_STREAM_CAPTURE_MODE_GLOBAL = 0,
+  CU_STREAM_CAPTURE_MODE_THREAD_LOCAL = 1
+};
 
 extern "C" {
 CUresult cuInit(unsigned flags);
@@ -34,6 +42,17 @@ CUresult cuCtxDestroy(CUcontext context);
 CUresult cuCtxPushCurrent(CUcontext context);
 CUresult cuCtxPopCurrent(CUcontext* context);
 CUresult cuStreamCreate(CUstream* stream, unsigned flags);
+CUresult cuDevicePrimaryCtxRetain(CUcontext* context, CUdevice device);
+CUresult cuDevicePrimaryCtxRelease(CUdevice device);
+CUresult cuCtxGetStreamPriorityRange(int* least, int* greatest);
+CUresult cuStreamCreateWithPriority(CUstream* stream, unsigned flags, int priority);
+CUresult cuStreamDestroy(CUstream stream);
+CUresult cuStreamBeginCapture(CUstream stream, CUstreamCaptureMode mode);
+CUresult cuStreamEndCapture(CUstream stream, CUgraph* graph);
+CUresult cuGraphInstantiateWithFlags(CUgraphExec* made, CUgraph graph, unsigned long long flags);
+CUresult cuGraphLaunch(CUgraphExec graph, CUstream stream);
+CUresult cuGraphDestroy(CUgraph graph);
+CUresult cuGraphExecDestroy(CUgraphExec graph);
 CUresult cuStreamSynchronize(CUstream stream);
 CUresult cuMemAlloc(CUdeviceptr* memory, std::size_t bytes);
 CUresult cuMemFree(CUdeviceptr memory);

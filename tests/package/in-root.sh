@@ -54,7 +54,7 @@ wrong_kernel() {
 headers_alone() {
   local header failed=0
   for header in /usr/include/xauto/*.h; do
-    case $header in */onnx.h | */opencl.h | */cuda.h | */tensorrt.h | */cudla.h | */vpi.h | */ros2.h) continue ;; esac # only beside a library that is the app's
+    case $header in */onnx.h | */opencl.h | */cuda.h | */cuda_graph.h | */tensorrt.h | */cudla.h | */vpi.h | */ros2.h) continue ;; esac # only beside a library that is the app's
     echo "#include <xauto/$(basename "$header")>" | g++ -std=c++20 -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Werror -fsyntax-only -x c++ - ||
       failed=1
   done

@@ -33,6 +33,74 @@ TEST(Engine, RunsEveryXNodeOfEveryRelease) {
   }
 }
 
+/// a2 is more urgent than b1, and becomes ready while b1 runs, which ends only when a2 has: on a gate it never would.
+TEST(Engine, AMoreUrgentJobIsStartedOnALevelAboveThatOfTheOneThatRuns) {
+  TestApp app;
+  app.session.platform.xpus[1] = {.id = "npu0", .type = "npu", .preemptive = true, .levels = 2};
+  static thread_local int level;
+  app.handle = [] {
+    EXPECT_EQ(levels({"npu0", XPU("npu"), 0}), 2) << "an init is told";
+    return SchedHandle::on_levels([](int on) -> Status {
+      level = on;
+      return {};
+    });
+  };
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::map<std::string, std::uint64_t> begun, ended;
+  std::vector<std::string> on;
+  const auto wait_for = [&](std::map<std::string, std::uint64_t>& of, const char* node,
+                            std::uint64_t k) {
+    std::unique_lock lock(mutex);
+    EXPECT_TRUE(changed.wait_for(lock, 60s, [&] { return of[node] > k; })) << node << k;
+  };
+  app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    {
+      const std::lock_guard lock(mutex);
+      ++begun[node];
+      if (node != "a1") on.push_back(node + ":" + std::to_string(level));
+      changed.notify_all();
+    }
+    if (node == "a1") wait_for(begun, "b1", k);
+    if (node == "b1") wait_for(ended, "a2", k);
+    const std::lock_guard lock(mutex);
+    ++ended[node];
+    changed.notify_all();
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete);
+  ASSERT_EQ(on.size(), 150u);
+  for (std::size_t k = 0; k < 150; k += 3)
+    EXPECT_EQ((std::vector<std::string>{on[k], on[k + 1], on[k + 2]}),
+              (std::vector<std::string>{"b1:0", "a2:1", "c1:0"}))
+        << k;
+}
+
+TEST(Engine, WhatPutsNoWorkOnLevelsIsRefusedWhereThereAreSome) {
+  TestApp app;
+  app.session.platform.xpus[1] = {.id = "npu0", .type = "npu", .preemptive = true, .levels = 2};
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_NE(report.error().what.find(
+                "has \"levels\" in the platform file, and its scheduling handle is gate()"),
+            std::string::npos)
+      << report.error().what;
+}
+
+TEST(Engine, ATakeThatFailsIsCountedAndTheJobRuns) {
+  TestApp app;
+  app.session.platform.xpus[1] = {.id = "npu0", .type = "npu", .preemptive = true, .levels = 2};
+  app.handle = [] {
+    return SchedHandle::on_levels([](int) -> Status { throw std::runtime_error("no stream"); });
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete);
+  EXPECT_EQ(count(app.log(), "a2"), 50u);
+}
+
 TEST(Engine, OrderConstraintHoldsTheXNodeBackInEveryActivation) {
   TestApp app;
   app.session.policy.order = {{1, 2}};  // a2 before b1, though b1 is ready first

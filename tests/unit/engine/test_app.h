@@ -96,6 +96,7 @@ class TestApp {
         const std::string address = "xauto-test/engine-" + std::to_string(getpid()) + "-" +
                                     std::to_string(runs.fetch_add(1)) + "/" + xpu.id;
         coord::ServerOptions options{address, xpu.id, xpu::discipline_of(xpu, false), {}, {}};
+        options.levels = xpu::levels_of(xpu, false);
         for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
         for (const auto& [u, v] : session.policy.order)
           if (session.policy.placements[static_cast<std::size_t>(u)].xpu ==

@@ -14,6 +14,8 @@
 
 #include <gtest/gtest.h>
 
+#include "model/json.h"
+
 #include "../engine/fates.h"
 #include "../engine/test_app.h"
 
@@ -42,6 +44,87 @@ TEST(Profiler, AnObjectPerXpuInstanceIsMadeAndGoesOnTheThreadThatMeasures) {
   EXPECT_EQ(fates.alive.load(), 0);
   EXPECT_EQ(fates.sorted(),
             (std::vector<std::string>{"a1", "a1", "a2", "a2", "b1", "b1", "c1", "c1"}));
+}
+
+/// On an XPU with levels: on the highest, beside XNodes of other modules on the lowest.
+TEST(Profiler, OnLevelsEachXNodeIsTimedBesideLessUrgentOnes) {
+  TestApp app;
+  app.session.platform.xpus[1] = {.id = "npu0", .type = "npu", .preemptive = true, .levels = 3};
+  std::mutex mutex;
+  std::map<std::string, std::thread::id> inside;  // on npu0 -> by which thread
+  std::map<std::thread::id, int> level;
+  std::set<std::pair<std::string, std::string>> met;  // (above, below)
+  app.handle = [&] {
+    EXPECT_EQ(levels({"npu0", XPU("npu"), 0}), 3);
+    return SchedHandle::on_levels([&](int on) -> Status {
+      const std::lock_guard lock(mutex);
+      level[std::this_thread::get_id()] = on;
+      return {};
+    });
+  };
+  const auto look = [&](const std::string& node, std::thread::id me) {
+    for (const auto& [other, thread] : inside)
+      if (thread != me && level[me] == 2 && level[thread] == 0) met.insert({node, other});
+  };
+  app.exec = [&](const std::string& node, std::uint64_t) -> Status {
+    const auto me = std::this_thread::get_id();
+    {
+      const std::lock_guard lock(mutex);
+      look(node, me);
+      inside[node] = me;
+    }
+    std::this_thread::sleep_for(2ms);
+    const std::lock_guard lock(mutex);
+    look(node, me);
+    inside.erase(node);
+    return {};
+  };
+  app.session.mode = Mode::kProfile;
+  app.session.profile.warmup = 1;
+  app.session.profile.repetitions = 9;
+  const std::atomic<bool> stop{false};
+  const auto profiled = profile(app.spec, app.session, stop);
+  ASSERT_TRUE(profiled) << profiled.error().to_string();
+  const auto read = parse_profile(profiled->text, "profile");
+  ASSERT_TRUE(read) << read.error().to_string();
+  for (const XNodeProfile& x : read->xnodes) {
+    EXPECT_EQ(x.on.at("npu0").count, 9) << x.name;
+    ASSERT_TRUE(x.beside.contains("npu")) << x.name;
+    EXPECT_EQ(x.beside.at("npu").at("npu0").count, 9) << x.name;
+    EXPECT_FALSE(x.beside.at("npu").contains("cpu0")) << x.name << ": a core has no levels";
+  }
+  EXPECT_EQ(read->conditions.beside.at("npu"), "XNodes of other modules, on the lowest level");
+  // In the pass in which all are on npu0: each above each of another module.
+  for (const char* above : {"a1", "a2", "b1", "c1"})
+    for (const char* below : {"a1", "a2", "b1", "c1"})
+      EXPECT_EQ(met.contains({above, below}), above[0] != below[0]) << above << " above " << below;
+}
+
+TEST(Profiler, WhatFailsBelowIsTold) {
+  TestApp app;
+  app.session.platform.xpus[1] = {.id = "npu0", .type = "npu", .preemptive = true, .levels = 2};
+  std::atomic<bool> above{false};
+  app.handle = [&] {
+    return SchedHandle::on_levels([&](int on) -> Status {
+      above = above || on > 0;
+      return {};
+    });
+  };
+  std::atomic<std::thread::id> measures;
+  app.exec = [&](const std::string& node, std::uint64_t) -> Status {
+    if (!above) measures = std::this_thread::get_id();
+    if (above && std::this_thread::get_id() != measures.load())
+      throw std::runtime_error("no stream for " + node);
+    return {};
+  };
+  app.session.mode = Mode::kProfile;
+  app.session.profile.warmup = 1;
+  app.session.profile.repetitions = 3;
+  const std::atomic<bool> stop{false};
+  const auto profiled = profile(app.spec, app.session, stop);
+  ASSERT_FALSE(profiled);
+  EXPECT_NE(profiled.error().what.find("no stream for"), std::string::npos)
+      << profiled.error().what;
 }
 
 /// Each pass begins with fresh states: an init that fills one is called for each of them, the others are not.

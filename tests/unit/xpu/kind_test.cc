@@ -124,6 +124,59 @@ TEST(Kind, NvgpusWorkIsSuspendedByTheModuleElseByItsProcessElseByNobody) {
   fs::remove_all(root);
 }
 
+/// Where the platform states levels, the app's own queues have them; else work is suspended as before.
+TEST(Kind, ALevelInThePlatformAsksForTheAppsOwnQueues) {
+  const fs::path node = fs::temp_directory_path() / ("xauto-levels-" + std::to_string(getpid()));
+  std::ofstream(node) << "";
+  std::vector<Kind> table = kinds();
+  for (Kind& kind : table)
+    if (kind.driver == "nvidia") {
+      kind.nodes = {node.string()};
+      kind.ways.front().ask = [] { return 6; };
+    }
+  Xpu gpu{.id = "gpu0", .type = "gpu", .preemptive = true};
+  EXPECT_EQ(discipline_of(gpu, false, false, table), Discipline::kPreemptive);
+  EXPECT_TRUE(is_watched(gpu, false, table));
+  EXPECT_FALSE(orders_one_process(gpu, false, table));
+  gpu.levels = 4;
+  EXPECT_EQ(discipline_of(gpu, false, false, table), Discipline::kLevels);
+  EXPECT_EQ(levels_of(gpu, false, table), 4);
+  EXPECT_FALSE(is_watched(gpu, false, table));
+  EXPECT_TRUE(orders_one_process(gpu, false, table));
+  EXPECT_NE(caveat_of(gpu, false, table).find("CUDA calls a hint"), std::string::npos);
+  const auto backend = make_backend({gpu, {"gpu0", XPU::GPU, 0}}, table);
+  ASSERT_TRUE(backend);
+  EXPECT_FALSE((*backend)->attach(SchedHandle::cuda_context(&gpu)));
+  int level = -1;
+  const SchedHandle handle = SchedHandle::on_levels([&](int on) -> Status {
+    level = on;
+    return {};
+  });
+  EXPECT_TRUE((*backend)->attach(handle));
+  EXPECT_TRUE((*backend)->level(handle, 3));
+  EXPECT_EQ(level, 3);
+  gpu.preemptive = false;
+  EXPECT_EQ(discipline_of(gpu, false, false, table), Discipline::kGate);
+
+  const Platform here = platform_of(Hardware::here(table), "here", table);
+  const Xpu& found = here.xpus[static_cast<std::size_t>(here.find("gpu0"))];
+  EXPECT_EQ(found.levels, 6) << "a file of this machine states them";
+  EXPECT_TRUE(found.preemptive);
+  EXPECT_EQ(found.preempt_us, 0) << "what is waited for is in the WCETs";
+  EXPECT_FALSE(found.preempt_measured);
+  EXPECT_NE(unmeasured(found).find("`xauto profile` times"), std::string::npos);
+  for (const kernel::Finding& f :
+       kernel::probe("", kernel::Permitted::of_this_process(), devices(table)))
+    if (f.id == "gpu") {
+      EXPECT_NE(f.meaning.find("\"levels\": 6"), std::string::npos) << f.meaning;
+    }
+  fs::remove(node);
+
+  Xpu own{.id = "npu0", .type = "npu", .preemptive = true, .levels = 2};
+  EXPECT_EQ(discipline_of(own, false), Discipline::kLevels) << "an XPU of the app's";
+  EXPECT_EQ(levels_of(own, false), 2);
+}
+
 TEST(Kind, ATypeMayHaveARowForEachDriver) {
   const fs::path node = fs::temp_directory_path() / ("xauto-driver-" + std::to_string(getpid()));
   std::vector<Kind> table = kinds();

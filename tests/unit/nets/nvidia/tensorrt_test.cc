@@ -15,6 +15,8 @@
 #include <xauto/tensorrt.h>
 #include <xauto/testing.h>
 
+#include "xpu/callbacks.h"
+
 #include "fake.h"
 
 namespace {
@@ -24,7 +26,8 @@ using xauto::tensor;
 using xauto::tensorrt::Session;
 namespace nv = nvinfer1;
 
-int objects = 0;  ///< of the acted-out TensorRT, alive
+int objects = 0;           ///< of the acted-out TensorRT, alive
+int priority_of_last = 0;  ///< of the stream that it queued on last
 
 /// What the "plan" is: a net of y = 2 x + 1 and n = the number of the run. Tests change it.
 struct Plan {
@@ -63,6 +66,7 @@ class Execution final : public nv::IExecutionContext, Counted {
     return true;
   }
   bool enqueueV3(cudaStream_t stream) noexcept override {
+    priority_of_last = fake::priority_of(stream);
     const auto count = static_cast<std::size_t>(rows_ * 3);
     float *x = address_["x"], *y = address_["y"], *n = address_["n"];
     if (plan.fails || !fake::is_memory(x, count * 4) || !fake::is_memory(y, count * 4) ||
@@ -174,6 +178,25 @@ TEST_F(TensorRt, ComputesFromWhatIsWritten) {
   }
   EXPECT_EQ(net.handle().kind(), xauto::SchedHandle::Kind::kCudaContext);
   EXPECT_NE(net.handle().value(), 0U);
+}
+
+TEST_F(TensorRt, ByLevelsPlansShareAContextAndRunOnTheStreamOfTheirJob) {
+  {
+    auto one = Session::open(model(1), 0, 3), two = Session::open(model(1), 0, 3);
+    ASSERT_TRUE(one && two);
+    EXPECT_EQ(fake::alive().contexts, 1);
+    EXPECT_EQ(fake::alive().streams, 3);
+    for (Session* net : {one->get(), two->get()})
+      for (const int level : {2, 0, 1}) {
+        ASSERT_TRUE(net->handle().callbacks()->take(level));
+        net->input<float>(0)[0] = static_cast<float>(level);
+        ASSERT_TRUE(net->run());
+        EXPECT_EQ(net->output<float>(1)[0], 2.0F * static_cast<float>(level) + 1);
+        EXPECT_EQ(priority_of_last, 3 + level);
+      }
+  }
+  EXPECT_EQ(fake::alive().contexts, 0);
+  EXPECT_EQ(fake::alive().memory, 0);
 }
 
 TEST_F(TensorRt, OutputsThatNobodyAsksForHaveMemory) {
