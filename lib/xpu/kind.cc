@@ -66,8 +66,8 @@ const std::vector<Kind>& kinds() {
       // Nobody has measured these costs: a preemption waits for blocks, or is a message to the GPU's GSP.
       {.type = "gpu",
        .nodes = nodes(kernel::kRmNodes),
-       .ways = {{.name = "rm", .backend = make_rm, .watched = true, .caveat = kByItself},
-                streams()},
+       .ways = {streams(),
+                {.name = "rm", .backend = make_rm, .watched = true, .caveat = kByItself}},
        .preempt_us = 1000,
        .timeslice_us = 1000,
        .measured = false,

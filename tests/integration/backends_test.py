@@ -23,8 +23,11 @@ APP = {
     "edges": [], "samples": [],
     "chains": [{"name": "quick", "from": "quick", "to": "quick.run", "deadline_us": 20000},
                {"name": "slow", "from": "slow", "to": "slow.run", "deadline_us": 200000}]}
-PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
-    {"id": "gpu0", "type": "gpu", "preemptive": True, "preempt_us": 100, "timeslice_us": 1000, "levels": 2}]}
+GPU = {"id": "gpu0", "type": "gpu", "preemptive": True, "preempt_us": 100, "timeslice_us": 1000}
+
+
+def platform(levels):
+    return {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [GPU | ({"levels": 2} if levels else {})]}
 
 
 class Backends(unittest.TestCase):
@@ -32,19 +35,21 @@ class Backends(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = folder.name
-        for name, value in (("app.json", APP), ("platform.json", PLATFORM)):
-            pathlib.Path(self.path(name)).write_text(json.dumps(value))
-        done = xauto("solve", "--app", self.path("app.json"), "--platform", self.path("platform.json"), "--max-evaluations", 100,
-                     "--threads", 1, "--out", self.path("policy.json"))
-        self.assertEqual(done.returncode, 0, done.stderr)
+        pathlib.Path(self.path("app.json")).write_text(json.dumps(APP))
+        for way in ("levels", "suspended"):
+            pathlib.Path(self.path(f"{way}.json")).write_text(json.dumps(platform(way == "levels")))
+            done = xauto("solve", "--app", self.path("app.json"), "--platform", self.path(f"{way}.json"), "--max-evaluations", 100,
+                         "--threads", 1, "--out", self.path(f"{way}.policy.json"))
+            self.assertEqual(done.returncode, 0, done.stderr)
 
     def path(self, name):
         return os.path.join(self.folder, name)
 
     def start(self, driver, *flags):
         pathlib.Path(self.path("state")).write_text("")  # another run's
+        way = "levels" if driver == "i915" else "suspended"
         tool = subprocess.Popen([str(BIN / "on_devices"), driver, self.path("state"), XAUTO, "run", "--app", self.path("app.json"),
-                                 "--platform", self.path("platform.json"), "--policy", self.path("policy.json"), "--activations", "0",
+                                 "--platform", self.path(f"{way}.json"), "--policy", self.path(f"{way}.policy.json"), "--activations", "0",
                                  "--overload", "newest", "--json", *flags, "--", str(BIN / "queuesapp"), driver, self.path("hold")],
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.addCleanup(tool.kill)

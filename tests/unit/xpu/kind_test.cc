@@ -132,6 +132,7 @@ TEST(Kind, ALevelInThePlatformAsksForTheAppsOwnQueues) {
   for (Kind& kind : table)
     if (kind.driver == "nvidia") {
       kind.nodes = {node.string()};
+      ASSERT_EQ(kind.ways.front().name, "streams") << "of choice";
       kind.ways.front().ask = [] { return 6; };
     }
   Xpu gpu{.id = "gpu0", .type = "gpu", .preemptive = true};
