@@ -81,6 +81,10 @@ endif()
 install(DIRECTORY ${help}/man1 DESTINATION ${CMAKE_INSTALL_MANDIR} COMPONENT tools)
 install(FILES ${help}/completions/xauto DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT tools)
 
+# Python's, where Debian's finds it.
+install(DIRECTORY tools/python/xauto DESTINATION lib/python3/dist-packages COMPONENT python FILES_MATCHING PATTERN "*.py")
+install(DIRECTORY tools/python/notebooks DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples COMPONENT examples FILES_MATCHING PATTERN "*.ipynb")
+
 # The Debian packages take their own.
 install(DIRECTORY examples/template examples/camera DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples COMPONENT examples)
 install(FILES packaging/examples/camera.conf packaging/examples/limits.conf packaging/grafana/xauto.json

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Makes the Debian packages from a finished build tree; compiles nothing twice. What `make packages` does; docs/packages.md.
-# usage: package-build.sh BUILD_DIR OUT        OUT gets libxauto1, libxauto-dev, xauto-tools, xauto-dkms (*.deb)
+# usage: package-build.sh BUILD_DIR OUT        OUT gets libxauto1, libxauto-dev, xauto-tools, xauto-dkms, python3-xauto (*.deb)
 set -euo pipefail
 build=$(realpath "$1") out=$(realpath -m "$2")
 root=$(realpath "$(dirname "$0")/..")
@@ -19,7 +19,7 @@ stage=$out/stage/xauto
 rm -rf "$out"
 mkdir -p "$stage"
 cd "$root"
-cp -r --parents debian packaging kmod Kbuild include/uapi examples/template examples/camera LICENSE "$stage"
+cp -r --parents debian packaging kmod Kbuild include/uapi examples/template examples/camera tools/python/notebooks LICENSE "$stage"
 log=$out/build.log
 # Debian's build dependencies are checked by CMake, which finds the libraries themselves: -d.
 if ! (cd "$stage" && XAUTO_BUILD=$build DEB_BUILD_OPTIONS="parallel=${JOBS:-2} nocheck noautodbgsym" \

@@ -5,7 +5,7 @@
 set -uo pipefail
 . /tmp/tap.sh
 cd /tmp || exit 2
-packages="libxauto1 libxauto-dev xauto-tools xauto-dkms"
+packages="libxauto1 libxauto-dev xauto-tools xauto-dkms python3-xauto"
 triplet=$(dpkg-architecture -qDEB_HOST_MULTIARCH 2>/dev/null || gcc -dumpmachine)
 
 # Everything that is there: names, kinds, modes, owners, contents of /etc. Left out: what dpkg, apt, ldconfig, depmod and man-db keep about
@@ -90,6 +90,7 @@ use() {
   grep -F 'template: 40 frames tracked' said
   timeout 60 xauto report run.pftrace --out report.html
   grep -q 'detect.infer' report.html
+  python3 -c 'import xauto; assert len(xauto.jobs("run.pftrace")) >= 40 and xauto.chains(xauto.load("report.json"))'
   # A program that is started by itself finds the tool in the PATH.
   refused 'app' timeout 60 build/template
   absent grep xauto /proc/net/unix
