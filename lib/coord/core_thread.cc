@@ -8,8 +8,10 @@
 #include <filesystem>
 
 #include <linux/capability.h>
+#include <poll.h>
 #include <sched.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
@@ -71,6 +73,21 @@ pid_t thread_of(pid_t process, pid_t named) {
     return found == 0;
   });
   return found;
+}
+
+UniqueFd process_behind(int socket, pid_t pid) {
+#ifndef SO_PEERPIDFD
+  constexpr int SO_PEERPIDFD = 77;  // Linux 6.5
+#endif
+  int fd = -1;
+  socklen_t size = sizeof fd;
+  if (getsockopt(socket, SOL_SOCKET, SO_PEERPIDFD, &fd, &size) == 0) return UniqueFd(fd);
+  return UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, pid, 0)));
+}
+
+bool lives(int process) {
+  pollfd ended{process, POLLIN, 0};
+  return process >= 0 && poll(&ended, 1, 0) == 0;
 }
 
 int core_number(const std::string& hardware) {

@@ -10,10 +10,16 @@
 
 #include <xauto/result.h>
 
+#include "base/unique_fd.h"
+
 namespace xauto::coord {
 
 /// The thread that `process` calls `named` in its own PID namespace, as it is called here; 0: it has none.
 [[nodiscard]] pid_t thread_of(pid_t process, pid_t named);
+
+/// A descriptor of the process `pid` that has connected, and whether that lives: its number may be another's one day.
+[[nodiscard]] UniqueFd process_behind(int socket, pid_t pid);
+[[nodiscard]] bool lives(int process);
 
 /// Of core3: 3; -1: that is no core.
 [[nodiscard]] int core_number(const std::string& hardware);

@@ -49,6 +49,9 @@ struct Adopt {
   std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kAdopt);
   std::uint32_t lease = 0;
   std::uint32_t first_xnode = 0, num_xnodes = 0;
+  /// 1: the run is not trusted. A coordinator that has not heard what it may have closes the connection: it has begun
+  /// again since.
+  std::uint32_t regulated = 0;
 };
 
 inline constexpr std::size_t kMaxRegulated = 256;  ///< XNodes of one run
@@ -87,7 +90,7 @@ struct Refused {
 static_assert(std::is_trivially_copyable_v<Hello> && sizeof(Hello) == 84 + 4 * kMaxWorkerXNodes);
 static_assert(std::is_trivially_copyable_v<Welcome> && sizeof(Welcome) == 8);
 static_assert(std::is_trivially_copyable_v<Attach> && sizeof(Attach) == 24 + kMaxHardwareName);
-static_assert(std::is_trivially_copyable_v<Adopt> && sizeof(Adopt) == 16);
+static_assert(std::is_trivially_copyable_v<Adopt> && sizeof(Adopt) == 20);
 static_assert(std::is_trivially_copyable_v<Regulate> &&
               sizeof(Regulate) == 16 + kMaxRegulated * sizeof(SporadicTask));
 static_assert(std::is_trivially_copyable_v<Refused> && sizeof(Refused) == 128);

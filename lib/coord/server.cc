@@ -214,6 +214,7 @@ bool Server::hear_service() {
   if (packet.kind == static_cast<std::uint32_t>(MessageKind::kEndLease)) {
     end_lease(packet.lease);
   } else if (packet.kind == static_cast<std::uint32_t>(MessageKind::kAdopt) && fds.size() == 1) {
+    if (packet.regulated != 0 && !pages_.contains(packet.lease)) return true;
     if (!adopt_connection(std::move(fds[0]), packet))
       refusals_.tell("refused a connection: " + std::to_string(connections_.size()) + " are open",
                      now_ns());
@@ -304,7 +305,7 @@ bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {
   if (bytes < sizeof kind) return false;
   std::memcpy(&kind, data, sizeof kind);
   // What is answered below is not for everybody, and takes time that others wait for.
-  if (pages_.contains(connections_[fd].whose.lease) &&
+  if (connections_[fd].whose.regulated != 0 &&
       kind != static_cast<std::uint32_t>(MessageKind::kHello))
     return false;
   if (kind == static_cast<std::uint32_t>(MessageKind::kStatus)) {
@@ -348,8 +349,8 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   info = SlotInfo{};
   info.worker = hello.worker;
   info.xnodes.assign(hello.xnodes, hello.xnodes + hello.num_xnodes);
-  if (page != pages_.end()) {
-    if (!welcome_regulated(connection, page->second, slot))
+  if (connection.whose.regulated != 0) {
+    if (page == pages_.end() || !welcome_regulated(connection, page->second, slot))
       return refuse("has no process, or too many workers here");
     return true;
   }
@@ -389,6 +390,7 @@ bool Server::welcome_regulated(Connection& connection, RunPage& page, int slot) 
   SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
   info.page = &page;
   info.process = peer->pid;
+  info.lives = process_behind(connection.socket.get(), peer->pid);
   ++page.workers;
   connection.slot = slot;
   referee_->join_regulated(slot, page.shm().slots);
@@ -411,7 +413,7 @@ void Server::lay_hands(const std::vector<Hand>& hands) {
               : info.named);
     // A number may be another's by now: whoever has threads end can know of which.
     if (hostile || info.named != named || info.thread == 0)
-      info.thread = thread_of(info.process, info.named);
+      info.thread = lives(info.lives.get()) ? thread_of(info.process, info.named) : 0;
     if (gives) {
       if (info.thread != 0) (void)give_core(info.thread, core);
     } else if (info.thread != 0 && hand.kind == Hand::Kind::kOver && !hostile) {

@@ -83,7 +83,8 @@ class Server {
     std::vector<std::uint32_t> xnodes;
     bool absent = false;          ///< of the coordinator before us; has not come back yet
     RunPage* page = nullptr;      ///< of a run that is not trusted, ...
-    pid_t process = 0;            ///< ... whose process that worker is in,
+    pid_t process = 0;            ///< ... whose process that worker is in, ...
+    UniqueFd lives;               ///< ... which is that one as long as this says so,
     pid_t named = 0, thread = 0;  ///< ... and what says START there: as it calls it, and as we do
   };
 

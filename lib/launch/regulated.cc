@@ -5,9 +5,7 @@
 #include <charconv>
 #include <sstream>
 
-#include <poll.h>
 #include <pwd.h>
-#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "coord/core_thread.h"
@@ -97,12 +95,11 @@ void charge_all(Demand& demand, const std::set<std::string>& hardware) {
   }
 }
 
-RaisedProcess::RaisedProcess(pid_t pid)
-    : pid_(pid), fd_(static_cast<int>(syscall(SYS_pidfd_open, pid, 0))) {}
+RaisedProcess::RaisedProcess(int socket, pid_t pid)
+    : pid_(pid), fd_(coord::process_behind(socket, pid)) {}
 
 void RaisedProcess::lower() const {
-  pollfd ended{fd_.get(), POLLIN, 0};
-  if (fd_ && poll(&ended, 1, 0) == 0) coord::take_cores(pid_);
+  if (coord::lives(fd_.get())) coord::take_cores(pid_);
 }
 
 }  // namespace xauto::launch

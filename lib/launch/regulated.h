@@ -41,7 +41,8 @@ void charge_all(Demand& demand, const std::set<std::string>& hardware);
 /// A process whose threads a coordinator may have raised. Lowers them, unless it has ended.
 class RaisedProcess {
  public:
-  explicit RaisedProcess(pid_t pid);
+  /// Who is behind this connection.
+  RaisedProcess(int socket, pid_t pid);
   void lower() const;
   [[nodiscard]] pid_t pid() const { return pid_; }
 

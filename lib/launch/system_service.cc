@@ -393,12 +393,13 @@ void SystemService::hand_on(UniqueFd worker, uid_t uid, const coord::Attach& att
     if (std::none_of(run.processes.begin(), run.processes.end(), same)) {
       if (run.processes.size() >= kMaxRunProcesses)
         return refuse_worker(worker.get(), "the run has too many processes");
-      run.processes.emplace_back(peer->pid);
+      run.processes.emplace_back(worker.get(), peer->pid);
     }
   }
   const coord::Adopt adopt{.lease = attach.lease,
                            .first_xnode = lease->second.first_xnode,
-                           .num_xnodes = lease->second.num_xnodes};
+                           .num_xnodes = lease->second.num_xnodes,
+                           .regulated = lease->second.regulated() ? 1u : 0u};
   if (!send_packet(shared->second.control.get(), &adopt, sizeof adopt, {worker.get()}))
     refuse_worker(worker.get(), "the coordinator of this XPU is gone");
 }

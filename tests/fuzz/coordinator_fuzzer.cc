@@ -36,7 +36,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     run.tasks[i] = {
         .xnode = i, .period_ns = 1000, .window_ns = 500, .longest_ns = 500, .budget_ns = 1 + i};
   if (regulated && !(*server)->regulate(run)) std::abort();
-  (*server)->adopt_connection(UniqueFd(ends[0]), {.lease = regulated ? 7u : 0u});
+  (*server)->adopt_connection(UniqueFd(ends[0]), {.lease = 7, .regulated = regulated ? 1u : 0u});
   const UniqueFd ours(ends[1]);
   Hello hello;
   hello.num_xnodes = 4;
