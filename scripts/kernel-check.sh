@@ -188,6 +188,23 @@ keys() {
   grep '^# jobs' "$out/keys-$1.log"
 }
 
+# together NAME: two apps on one core under the machine's coordinator, in the guest's own virtual time; then one of them overruns.
+together() {
+  local kernel items=() program each
+  note "two apps on one core on Linux $1"
+  kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
+  for program in xauto xauto-system xauto-coordinator xauto-emud loadapp; do items+=("$build/bin/$program"); done
+  # Their plan is made anew: a policy is of one build's certificate.
+  "$build/bin/xauto" solve --app tests/vm/together/steady.json --out "$out/steady.policy.json" --app tests/vm/together/wild.json \
+    --out "$out/wild.policy.json" --platform tests/vm/together/platform.json --time-limit 1s --reserve 20 >"$out/together.solve" ||
+    { failed=$((failed + 1)); return; }
+  for each in steady wild platform; do items+=("tests/vm/together/$each.json:/together/$each.json"); done
+  for each in steady wild; do items+=("$out/$each.policy.json:/together/$each.policy.json"); done
+  VM_APPEND="${XAUTO_FULL:+xauto.seconds=1000} ${VM_APPEND:-}" VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+7200}} \
+    in_vm "together-$1" "$kernel" run-together "${items[@]}"
+  grep -E '^# (all|nobody),' "$out/together-$1.log"
+}
+
 # The Driving Case over the emulator modules, in the guest's own virtual time.
 driving() {
   local kernel items program
@@ -221,8 +238,8 @@ consumers() {
 
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
-  lanes=(kmod-7.x scx-7.x at-once-7.x machine-7.x keys-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12)
+  lanes=(kmod-7.x scx-7.x at-once-7.x machine-7.x keys-7.x together-7.x)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12 together-7.x)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -249,6 +266,7 @@ else
     at-once-*) at_once "${lane#at-once-}" ;;
     machine-*) machine "${lane#machine-}" ;;
     keys-*) keys "${lane#keys-}" ;;
+    together-*) together "${lane#together-}" ;;
     kmod-kasan) kasan ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;

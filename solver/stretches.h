@@ -7,6 +7,12 @@
 // it is free and a time that it needs behind its last one. With these the longest path through the
 // stretch is known exactly, and those beside it do not change (docs/solver.md, "Stretches"). So a
 // candidate costs some tens of XNodes in place of all, and each stretch cools down like a small app.
+// Proof. The makespan is the longest path of the graph of edges and neighbours on an XPU. The
+// XNodes before the stretch have no predecessor and no neighbour before them in it, or behind it:
+// the sequence is a linear extension, and a stretch is consecutive in it. So r_i and f_x are the
+// same whatever is done in the stretch; likewise q_i and g_x, from behind. A path that meets the
+// stretch goes in by an r_i or f_x, stays, and goes out by a q_i or g_x. What stays is followed by
+// the evaluator (ordered.h).
 //
 // Only for the makespan alone, without groups. Threads: one owner. Deterministic like anneal().
 // Units: microseconds.

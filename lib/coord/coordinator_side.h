@@ -9,21 +9,34 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "base/thread_safety.h"
 #include "coord/arbiter.h"
+#include "coord/regulator.h"
 #include "coord/shm_layout.h"
 #include "coord/worker_side.h"
 
 namespace xauto::coord {
 
+/// What the coordinator does to the thread of a job whose run is not trusted.
+struct Hand {
+  enum class Kind : std::uint8_t {
+    kGive,  ///< it has the XPU
+    kTake,  ///< it has not, though it may go on beside all jobs: somebody is more urgent, or its budget is spent
+    kOver,  ///< its job is over
+  } kind;
+  int slot;
+};
+
 /// Side effects that a look asks for.
 struct Wakes {
   std::vector<int> granted;    ///< futex of these slots' grant words
   std::vector<int> commanded;  ///< management threads of these slots
+  std::vector<Hand> hands;     ///< in this order, before the others
   bool again = false;          ///< look again soon: a worker changes its words all the time
 };
 
@@ -67,6 +80,48 @@ class Referee {
       A::store(shm_.header->high, static_cast<std::uint32_t>(slot) + 1);
   }
 
+  /// An XNode of a run that is not trusted, from now on.
+  void regulate(const SporadicTask& task) { regulators_.emplace(task.xnode, task); }
+  void forget(std::uint32_t xnode) { regulators_.erase(xnode); }
+  [[nodiscard]] bool is_regulated(std::uint32_t xnode) const { return regulators_.contains(xnode); }
+
+  /// A worker of such a run has this slot from now on, and its line there is in `page`. Wherever this is looked at, it
+  /// may say anything.
+  void join_regulated(int slot, SlotMemory* page) {
+    thread_.check();
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    pages_[static_cast<std::size_t>(slot)] = page;
+    const std::uint32_t generation = request_generation(A::load(page[slot].worker.request));
+    info = SlotInfo{};
+    info.used = info.regulated = true;
+    info.request = request_word(Want::kIdle, generation);
+    A::store(page[slot].worker.request, info.request);
+    A::store(page[slot].coordinator.grant, generation);
+    regulated_high_ = std::max(regulated_high_, slot + 1);
+  }
+
+  /// When the coordinator has to look without being rung, by the clock of `at`; 0: never.
+  [[nodiscard]] std::int64_t next_look_ns() const {
+    std::int64_t next = 0;
+    for (int i = 0; i < regulated_high_; ++i) {
+      const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      const std::int64_t at = !info.regulated ? 0
+                              : info.asks     ? info.not_before_ns
+                              : info.has_xpu  ? info.since_ns + info.left_ns
+                                              : 0;
+      if (at != 0 && (next == 0 || at < next)) next = at;
+    }
+    return next;
+  }
+  /// Its job has had the XPU for its budget; for the tests, which have no clock.
+  void spend(int slot) { slots_[static_cast<std::size_t>(slot)].left_ns = 0; }
+  [[nodiscard]] bool is_spent(int slot) const {
+    return slots_[static_cast<std::size_t>(slot)].left_ns <= 0;
+  }
+  [[nodiscard]] bool has_xpu(int slot) const {
+    return slots_[static_cast<std::size_t>(slot)].has_xpu;
+  }
+
   /// The worker of this slot is dead: whatever its words say is void.
   void leave(int slot, const std::vector<std::uint32_t>& xnodes, Wakes& wakes) {
     thread_.check();
@@ -76,6 +131,14 @@ class Referee {
     for (int i = 0; i < high(); ++i)
       if (i != slot && arbiter_.slot(i).phase == Phase::kAdmitted) wakes.granted.push_back(i);
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    if (info.regulated) {
+      wakes.hands.push_back({Hand::Kind::kTake, slot});
+      info = SlotInfo{};
+      pages_[static_cast<std::size_t>(slot)] = nullptr;
+      arbiter_.gone(slot, held_actions());
+      look_fat(wakes);
+      return;
+    }
     WorkerLine& line = shm_.slots[slot].worker;
     info.request = request_word(Want::kIdle, request_generation(A::peek(line.request)));
     A::store(line.request, info.request);
@@ -87,11 +150,14 @@ class Referee {
     look_fat(wakes);
   }
 
+  /// The time, CLOCK_MONOTONIC, of the looks that follow; it counts where some run is not trusted.
+  void at(std::int64_t now_ns) { now_ns_ = now_ns; }
+
   /// One look at the shared words: feeds the arbiter what changed and carries out what it decides.
   void look(Wakes& wakes) {
     thread_.check();
     if (!fat_) {
-      if ((A::load(shm_.header->owner) & kFat) == 0) return;
+      if ((A::load(shm_.header->owner) & kFat) == 0 && !some_regulated_is_new()) return;
       take_over(wakes);
     }
     look_fat(wakes);
@@ -147,7 +213,13 @@ class Referee {
   [[nodiscard]] bool fat() const { return fat_; }
   [[nodiscard]] bool used(int slot) const { return slots_[static_cast<std::size_t>(slot)].used; }
   [[nodiscard]] std::uint64_t decisions() const { return decisions_; }
+  [[nodiscard]] const SlotMemory& memory(int slot) const {
+    const SlotMemory* page = pages_[static_cast<std::size_t>(slot)];
+    return (page != nullptr ? page : shm_.slots)[slot];
+  }
   [[nodiscard]] Job job_of(int slot) const {
+    if (const SlotInfo& info = slots_[static_cast<std::size_t>(slot)]; info.regulated)
+      return info.job;
     const WorkerLine& line = shm_.slots[slot].worker;
     const std::uint32_t generation = request_generation(A::peek(line.request));
     return {A::peek(line.xnode), A::peek(line.sequence),
@@ -155,6 +227,10 @@ class Referee {
   }
   /// The same, looking at a copy of the memory; for the tests.
   void move_to(Shm shm) { shm_ = shm; }
+  void move_page(int slot, SlotMemory* page) {
+    if (slots_[static_cast<std::size_t>(slot)].regulated)
+      pages_[static_cast<std::size_t>(slot)] = page;
+  }
   /// What tells two states apart, for the tests.
   template <class Each>
   void describe(Each each) const {
@@ -163,9 +239,12 @@ class Referee {
       const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
       if (!info.used) continue;
       for (const std::uint32_t part :
-           {static_cast<std::uint32_t>(i), info.request, info.ack, info.command})
+           {static_cast<std::uint32_t>(i), info.request, info.ack, info.command,
+            (info.asks ? 1u : 0u) | (info.has_xpu ? 2u : 0u) | (info.left_ns <= 0 ? 4u : 0u)})
         each(part);
     }
+    for (const auto& [xnode, regulator] : regulators_)
+      each(static_cast<std::uint32_t>(regulator.last_begin_ns()));
   }
 
  private:
@@ -174,10 +253,18 @@ class Referee {
     std::uint32_t request = 0;  ///< last seen
     std::uint32_t ack = 0;      ///< last seen
     std::uint32_t command = 0;  ///< last given
+    // Of a run that is not trusted.
+    bool regulated = false;
+    bool asks = false;     ///< a job whose turn has not come
+    bool has_xpu = false;  ///< from `since_ns` on
+    Job job;
+    std::int64_t not_before_ns = 0, since_ns = 0;
+    std::int64_t left_ns = 0;  ///< of its budget, at `since_ns`
   };
 
   [[nodiscard]] int high() const {
-    return std::min(static_cast<int>(A::peek(shm_.header->high)), kMaxSlots);
+    return std::max(std::min(static_cast<int>(A::peek(shm_.header->high)), kMaxSlots),
+                    regulated_high_);
   }
   /// Where decisions of a held arbiter go: there are none.
   std::vector<Action>& held_actions() {
@@ -220,14 +307,13 @@ class Referee {
     const std::uint64_t word = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
     if (const Taking taking = complete_taking(word); taking.victim >= 0) {
-      if (slots_[static_cast<std::size_t>(taking.victim)].used)
-        hear(taking.victim, taking.generation, wakes);
+      if (is_shared(taking.victim)) hear(taking.victim, taking.generation, wakes);
     } else if (arbiter_.discipline() == Discipline::kPreemptive) {
       for (int i = 0; i < high(); ++i)
-        if (slots_[static_cast<std::size_t>(i)].used) claim_command(i);
+        if (is_shared(i)) claim_command(i);
     }
     if (const int owner = owner_slot(word); owner >= 0 && owner < kMaxSlots)
-      if (slots_[static_cast<std::size_t>(owner)].used) hear(owner, owner_generation(word), wakes);
+      if (is_shared(owner)) hear(owner, owner_generation(word), wakes);
   }
 
   void look_fat(Wakes& wakes) {
@@ -239,13 +325,18 @@ class Referee {
         return;
       }
       arbiter_.begin_batch();
-      for (int i = 0; i < high(); ++i)
-        if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
+      for (int i = 0; i < high(); ++i) {
+        if (slots_[static_cast<std::size_t>(i)].regulated)
+          hear_regulated(i, wakes);
+        else if (slots_[static_cast<std::size_t>(i)].used)
+          scan_slot(i, wakes);
+      }
       for (const std::uint32_t xnode : arbiter_.order().predecessors())
         arbiter_.finished(xnode, A::load(shm_.finished[xnode]), held_actions());
       arbiter_.end_batch(actions);
-      carry_out(actions, wakes);
+      const bool obeyed = carry_out(actions, wakes);
       actions.clear();
+      if (obeyed) continue;  // the arbiter has to hear of it
       const std::uint32_t need = arbiter_.needs_acks() ? 1 : 0;
       if (A::peek(shm_.header->want_acks) != need) A::store(shm_.header->want_acks, need);
       // Came before the flag was up: it did not ring.
@@ -259,7 +350,7 @@ class Referee {
   [[nodiscard]] bool some_ack_is_new() const {
     for (int i = 0; i < high(); ++i) {
       const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
-      if (info.used && A::load(shm_.slots[i].worker.ack) != info.ack) return true;
+      if (is_shared(i) && A::load(shm_.slots[i].worker.ack) != info.ack) return true;
     }
     return false;
   }
@@ -267,6 +358,10 @@ class Referee {
   /// Gives the owner word back to the workers, if none of them needs us.
   bool hand_back() {
     if (!arbiter_.settled()) return false;
+    // No worker's FINISH would find it.
+    for (int i = 0; i < regulated_high_; ++i)
+      if (slots_[static_cast<std::size_t>(i)].regulated && arbiter_.slot(i).phase != Phase::kNone)
+        return false;
     bool parked = false;
     for (int i = 0; i < kMaxSlots; ++i) {
       const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
@@ -289,12 +384,88 @@ class Referee {
   [[nodiscard]] bool something_was_missed() const {
     for (int i = 0; i < high(); ++i) {
       const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
-      if (info.used && A::load(shm_.slots[i].worker.request) != info.request) return true;
+      // Who is not trusted has rung, or hurts himself; he does not keep us here.
+      if (is_shared(i) && A::load(shm_.slots[i].worker.request) != info.request) return true;
     }
     const std::vector<std::uint32_t>& predecessors = arbiter_.order().predecessors();
     return std::any_of(predecessors.begin(), predecessors.end(), [&](std::uint32_t xnode) {
       return A::load(shm_.finished[xnode]) > arbiter_.finished(xnode);
     });
+  }
+
+  [[nodiscard]] bool is_shared(int slot) const {
+    const SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    return info.used && !info.regulated;
+  }
+
+  // ---- runs that are not trusted: what they write is looked at once, and nothing but their own time depends on it
+
+  [[nodiscard]] bool some_regulated_is_new() const {
+    for (int i = 0; i < regulated_high_; ++i) {
+      const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      if (!info.regulated) continue;
+      if (A::load(memory(i).worker.request) != info.request) return true;
+      if (info.asks && now_ns_ >= info.not_before_ns) return true;
+    }
+    return false;
+  }
+
+  void hear_regulated(int slot, Wakes& wakes) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    const WorkerLine& line = memory(slot).worker;
+    if (const std::uint32_t request = A::load(line.request); request != info.request) {
+      if (info.has_xpu || arbiter_.slot(slot).phase != Phase::kNone ||
+          request_want(info.request) == Want::kRun)
+        end_regulated(slot, Hand::Kind::kOver, wakes);
+      info.request = request;
+      const auto regulator = regulators_.find(A::peek(line.xnode));
+      const auto window = request_want(request) == Want::kRun && regulator != regulators_.end()
+                              ? regulator->second.ask(now_ns_)
+                              : std::nullopt;
+      if (window) {
+        info.job = {regulator->first, A::peek(line.sequence), window->key,
+                    static_cast<std::uint64_t>(now_ns_)};
+        info.not_before_ns = window->not_before_ns;
+        info.left_ns = regulator->second.task().budget_ns;
+        info.asks = true;
+      }
+    }
+    if (info.asks && now_ns_ >= info.not_before_ns) {
+      info.asks = false;
+      arbiter_.start(slot, info.job, held_actions());
+    }
+    if (info.has_xpu && now_ns_ - info.since_ns >= info.left_ns)
+      end_regulated(slot, Hand::Kind::kTake, wakes);
+  }
+
+  /// Its job is over, or has had the XPU for its budget: nobody waits for it any more.
+  void end_regulated(int slot, Hand::Kind how, Wakes& wakes) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    wakes.hands.push_back({how, slot});
+    info.has_xpu = info.asks = false;
+    if (arbiter_.slot(slot).phase != Phase::kNone) arbiter_.finish(slot, held_actions());
+  }
+
+  /// At once: it is the coordinator that does it.
+  void obey(const Action& action, Wakes& wakes) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(action.slot)];
+    arbiter_.begin_batch();
+    if (action.kind == Action::Kind::kSuspend) {
+      info.left_ns -= now_ns_ - info.since_ns;
+      info.has_xpu = false;
+      wakes.hands.push_back({Hand::Kind::kTake, action.slot});
+      arbiter_.suspended(action.slot, true, held_actions());
+      return;
+    }
+    if (arbiter_.slot(action.slot).phase == Phase::kAdmitted) {
+      info.since_ns = now_ns_;
+      info.has_xpu = true;
+      wakes.hands.push_back({Hand::Kind::kGive, action.slot});
+    }
+    if (action.kind == Action::Kind::kResume) return arbiter_.resumed(action.slot, held_actions());
+    A::store(pages_[static_cast<std::size_t>(action.slot)][action.slot].coordinator.grant,
+             request_generation(info.request));
+    wakes.granted.push_back(action.slot);
   }
 
   [[nodiscard]] Job read_job(int slot, std::uint32_t& request) const {
@@ -370,12 +541,19 @@ class Referee {
     }
   }
 
-  void carry_out(const std::vector<Action>& actions, Wakes& wakes) {
+  /// True: some of it is done already.
+  bool carry_out(const std::vector<Action>& actions, Wakes& wakes) {
+    bool obeyed = false;
     for (const Action& action : actions) {
       ++decisions_;
       SlotInfo& info = slots_[static_cast<std::size_t>(action.slot)];
       CoordinatorLine& line = shm_.slots[action.slot].coordinator;
       if (!info.used) continue;
+      if (info.regulated) {
+        obey(action, wakes);
+        obeyed = obeyed || action.kind != Action::Kind::kGrant;
+        continue;
+      }
       if (action.kind == Action::Kind::kGrant) {
         if (action.level > 0)
           A::store(line.level, level_word(action.level, request_generation(info.request)));
@@ -387,6 +565,7 @@ class Referee {
       A::store(line.command, info.command);
       wakes.commanded.push_back(action.slot);
     }
+    return obeyed;
   }
 
   OneThread thread_;
@@ -395,6 +574,10 @@ class Referee {
   int max_rounds_;
   bool fat_ = false;  ///< the owner word is ours
   std::array<SlotInfo, kMaxSlots> slots_;
+  std::array<SlotMemory*, kMaxSlots> pages_{};  ///< [slot] null: its line is in `shm_`
+  std::map<std::uint32_t, Regulator> regulators_;
+  int regulated_high_ = 0;   ///< slots from here on were never of a run that is not trusted
+  std::int64_t now_ns_ = 0;  ///< see `at`
   std::vector<Action> nothing_;
   std::uint64_t decisions_ = 0;
 };

@@ -9,6 +9,7 @@
 
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -159,6 +160,10 @@ void Port::begin(const Job& job) {
   waits_ = false;
   if (lost()) return;
   generation_ = (generation_ + 1) & kGenerationMask;
+  if (shm_.header->regulated != 0) {
+    static thread_local const auto self = static_cast<std::uint32_t>(gettid());
+    shm_.slots[slot_].coordinator.thread.store(self, std::memory_order_relaxed);
+  }
   // Who came first matters only among those that meet; who meets nobody need not know so exactly.
   const bool alone = (shm_.header->owner.load(std::memory_order_relaxed) & ~kParkings) == 0;
   job_.since_ns = static_cast<std::uint64_t>(alone ? coarse_now_ns() : now_ns());

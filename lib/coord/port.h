@@ -60,6 +60,8 @@ class alignas(64) Port {
   /// ready should `begin` before this one finishes.
   [[nodiscard]] bool contended() const;
   [[nodiscard]] Discipline discipline() const { return rules_.discipline; }
+  /// Its coordinator serves several runs.
+  [[nodiscard]] bool shared() const { return door_.shared(); }
   /// On which level of the hardware the job that may run shall queue its work; 0: the lowest.
   [[nodiscard]] int level() const { return lost() ? 0 : words_.level(slot_, generation_); }
   /// FINISH of the job last started.

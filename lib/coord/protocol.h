@@ -12,9 +12,11 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "coord/regulator.h"
+
 namespace xauto::coord {
 
-inline constexpr std::uint32_t kProtocolVersion = 6;
+inline constexpr std::uint32_t kProtocolVersion = 7;
 inline constexpr std::size_t kMaxWorkerName = 64;
 inline constexpr std::size_t kMaxWorkerXNodes = 256;
 inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
@@ -30,6 +32,7 @@ enum class MessageKind : std::uint32_t {
       6,  ///< worker -> service: Attach, before all else; Refused, or what the coordinator answers to the rest
   kAdopt = 7,     ///< service -> coordinator: Adopt + {connection}
   kEndLease = 8,  ///< service -> coordinator: Adopt, without a connection: the run is gone
+  kRegulate = 9,  ///< service -> coordinator: Regulate, before the first Adopt of that lease
 };
 
 struct Attach {
@@ -46,6 +49,20 @@ struct Adopt {
   std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kAdopt);
   std::uint32_t lease = 0;
   std::uint32_t first_xnode = 0, num_xnodes = 0;
+  /// 1: the run is not trusted. A coordinator that has not heard what it may have closes the connection: it has begun
+  /// again since.
+  std::uint32_t regulated = 0;
+};
+
+inline constexpr std::size_t kMaxRegulated = 256;  ///< XNodes of one run
+
+/// The run is not trusted: it shares no memory with others, and has of this XPU what these say.
+struct Regulate {
+  std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kRegulate);
+  std::uint32_t lease = 0;
+  std::uint32_t hostile = 0;  ///< 1: not even its threads, which are another user's
+  std::uint32_t num_tasks = 0;
+  SporadicTask tasks[kMaxRegulated] = {};
 };
 
 struct Hello {
@@ -73,7 +90,9 @@ struct Refused {
 static_assert(std::is_trivially_copyable_v<Hello> && sizeof(Hello) == 84 + 4 * kMaxWorkerXNodes);
 static_assert(std::is_trivially_copyable_v<Welcome> && sizeof(Welcome) == 8);
 static_assert(std::is_trivially_copyable_v<Attach> && sizeof(Attach) == 24 + kMaxHardwareName);
-static_assert(std::is_trivially_copyable_v<Adopt> && sizeof(Adopt) == 16);
+static_assert(std::is_trivially_copyable_v<Adopt> && sizeof(Adopt) == 20);
+static_assert(std::is_trivially_copyable_v<Regulate> &&
+              sizeof(Regulate) == 16 + kMaxRegulated * sizeof(SporadicTask));
 static_assert(std::is_trivially_copyable_v<Refused> && sizeof(Refused) == 128);
 
 }  // namespace xauto::coord

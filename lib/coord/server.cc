@@ -11,6 +11,7 @@
 #include <sys/eventfd.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/timerfd.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -18,12 +19,16 @@
 #include "base/log.h"
 #include "base/memory_file.h"
 #include "base/socket.h"
+#include "coord/core_thread.h"
 #include "coord/protocol.h"
 
 namespace xauto::coord {
 namespace {
 
 constexpr std::size_t kMaxConnections = 2 * kMaxSlots;
+/// Of runs that are not trusted: of one, and of all together.
+constexpr int kMaxRunWorkers = 8;
+constexpr int kMaxRegulatedWorkers = 16;
 /// How long workers of a predecessor may take to come back: they see at once that it is gone.
 constexpr int kWorkersReturnMs = 2'000, kWorkersReturnRounds = 10;
 
@@ -84,7 +89,8 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
   s.doorbell_ = UniqueFd(s.options_.doorbell_fd >= 0 ? s.options_.doorbell_fd
                                                      : eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   s.epoll_ = UniqueFd(epoll_create1(EPOLL_CLOEXEC));
-  if (!s.doorbell_ || !s.epoll_)
+  s.alarm_ = UniqueFd(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK));
+  if (!s.doorbell_ || !s.epoll_ || !s.alarm_)
     return fail(ErrorCode::kIo, std::string("eventfd/epoll: ") + strerror(errno));
   s.listener_ = UniqueFd(s.options_.listener_fd);
   if (!s.listener_ && s.options_.shared)
@@ -92,7 +98,7 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
   if (!s.listener_) {
     XAUTO_ASSIGN(s.listener_, listen_abstract(s.options_.address));
   }
-  for (const int fd : {s.doorbell_.get(), s.listener_.get()}) {
+  for (const int fd : {s.doorbell_.get(), s.listener_.get(), s.alarm_.get()}) {
     epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
     if (epoll_ctl(s.epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
       return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
@@ -136,7 +142,10 @@ Status Server::run(int stop_fd) {
     // Announce the sleep, then look once more: a ring before the announcement is seen by this look,
     // a ring after it writes the eventfd.
     shm_.header->waiting.store(1, std::memory_order_seq_cst);
+    for (auto& [lease, page] : pages_)
+      page.shm().header->waiting.store(1, std::memory_order_seq_cst);
     look();
+    set_alarm();
     int timeout_ms = -1;
     if (absent_until_ns_ != 0) {
       // Rounds as well as time: on a machine that stood still, whoever is back is heard first.
@@ -147,13 +156,20 @@ Status Server::run(int stop_fd) {
     const int count =
         epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), timeout_ms);
     shm_.header->waiting.store(0, std::memory_order_seq_cst);
+    for (auto& [lease, page] : pages_)
+      page.shm().header->waiting.store(0, std::memory_order_seq_cst);
     if (count < 0 && errno != EINTR)
       return fail(ErrorCode::kIo, std::string("epoll_wait: ") + strerror(errno));
     for (int i = 0; i < count; ++i) {
       const int fd = events[static_cast<std::size_t>(i)].data.fd;
       if (fd == stop_fd) return {};
-      if (fd == doorbell_.get()) {
+      const auto page = std::ranges::find(
+          pages_, fd, [](const auto& entry) { return entry.second.doorbell_fd(); });
+      if (fd == doorbell_.get() || fd == alarm_.get()) {
         drain_eventfd(fd);
+        if (fd == alarm_.get()) alarm_ns_ = 0;
+      } else if (page != pages_.end()) {
+        hear_doorbell(page->second);
       } else if (fd == listener_.get()) {
         if (!options_.shared)
           accept_connection();
@@ -183,14 +199,22 @@ void Server::accept_connection() {
 
 /// False: it is gone.
 bool Server::hear_service() {
-  Adopt packet;
+  Regulate all;  // the longer one
   std::vector<UniqueFd> fds;
-  const auto size = receive_packet(listener_.get(), &packet, sizeof packet, &fds);
+  const auto size = receive_packet(listener_.get(), &all, sizeof all, &fds);
   if (!size) return size.error().code != ErrorCode::kUnavailable;
+  if (*size == sizeof all && all.kind == static_cast<std::uint32_t>(MessageKind::kRegulate)) {
+    if (const Status done = regulate(all); !done)
+      log::warn("{}: {}", options_.xpu, done.error().what);
+    return true;
+  }
+  Adopt packet;
   if (*size != sizeof packet) return true;
+  std::memcpy(&packet, static_cast<const void*>(&all), sizeof packet);
   if (packet.kind == static_cast<std::uint32_t>(MessageKind::kEndLease)) {
     end_lease(packet.lease);
   } else if (packet.kind == static_cast<std::uint32_t>(MessageKind::kAdopt) && fds.size() == 1) {
+    if (packet.regulated != 0 && !pages_.contains(packet.lease)) return true;
     if (!adopt_connection(std::move(fds[0]), packet))
       refusals_.tell("refused a connection: " + std::to_string(connections_.size()) + " are open",
                      now_ns());
@@ -204,6 +228,58 @@ void Server::end_lease(std::uint32_t lease) {
   for (const auto& [fd, connection] : connections_)
     if (connection.whose.lease == lease) theirs.push_back(fd);
   for (const int fd : theirs) drop(fd);
+  const auto page = pages_.find(lease);
+  if (page == pages_.end()) return;
+  for (const std::uint32_t xnode : page->second.xnodes()) referee_->forget(xnode);
+  epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, page->second.doorbell_fd(), nullptr);
+  pages_.erase(page);
+}
+
+Status Server::regulate(const Regulate& run) {
+  thread_.check();
+  if (run.num_tasks == 0 || run.num_tasks > kMaxRegulated || pages_.contains(run.lease))
+    return fail(ErrorCode::kInvalid, "says twice, or too much of, what a run may have");
+  for (std::uint32_t i = 0; i < run.num_tasks; ++i)
+    if (!run.tasks[i].makes_sense() || referee_->is_regulated(run.tasks[i].xnode))
+      return fail(ErrorCode::kInvalid, "says of an XNode what cannot be");
+  XAUTO_ASSIGN(RunPage page, RunPage::make(run, options_.discipline));
+  epoll_event event{.events = EPOLLIN, .data = {.fd = page.doorbell_fd()}};
+  if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, page.doorbell_fd(), &event) != 0)
+    return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
+  for (std::uint32_t i = 0; i < run.num_tasks; ++i) referee_->regulate(run.tasks[i]);
+  pages_.emplace(run.lease, std::move(page));
+  return {};
+}
+
+/// Who rings more often than his jobs need is not heard for a while.
+void Server::hear_doorbell(RunPage& page) {
+  drain_eventfd(page.doorbell_fd());
+  const std::int64_t now = now_ns(), heard = page.rung(now);
+  if (heard <= now) return;
+  page.deaf_until_ns = heard;
+  epoll_event none{.events = 0, .data = {.fd = page.doorbell_fd()}};
+  epoll_ctl(epoll_.get(), EPOLL_CTL_MOD, page.doorbell_fd(), &none);
+}
+
+/// When there is something to do that nobody rings for: a budget ends, a turn comes, a doorbell is heard again.
+void Server::set_alarm() {
+  const std::int64_t now = now_ns();
+  std::int64_t next = referee_->next_look_ns();
+  for (auto& [lease, page] : pages_) {
+    if (page.deaf_until_ns == 0) continue;
+    if (page.deaf_until_ns > now) {
+      next = next == 0 ? page.deaf_until_ns : std::min(next, page.deaf_until_ns);
+      continue;
+    }
+    page.deaf_until_ns = 0;
+    epoll_event event{.events = EPOLLIN, .data = {.fd = page.doorbell_fd()}};
+    epoll_ctl(epoll_.get(), EPOLL_CTL_MOD, page.doorbell_fd(), &event);
+  }
+  if (next == alarm_ns_) return;
+  alarm_ns_ = next;
+  itimerspec at{};  // 0: never
+  at.it_value = {next / 1'000'000'000, next % 1'000'000'000};
+  timerfd_settime(alarm_.get(), TFD_TIMER_ABSTIME, &at, nullptr);
 }
 
 bool Server::may_name(const Connection& connection, std::uint32_t xnode) const {
@@ -228,6 +304,10 @@ bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {
   std::uint32_t kind = 0;
   if (bytes < sizeof kind) return false;
   std::memcpy(&kind, data, sizeof kind);
+  // What is answered below is not for everybody, and takes time that others wait for.
+  if (connections_[fd].whose.regulated != 0 &&
+      kind != static_cast<std::uint32_t>(MessageKind::kHello))
+    return false;
   if (kind == static_cast<std::uint32_t>(MessageKind::kStatus)) {
     look();  // whoever took the XPU has not told us
     const std::string text = to_json(status()).dump();
@@ -253,14 +333,8 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   Hello hello;
   if (bytes != sizeof hello) return refuse("Hello has another size: use one build of XAuto");
   std::memcpy(&hello, data, sizeof hello);
-  if (hello.version != kProtocolVersion) return refuse("another protocol version");
-  if (connection.slot >= 0) return refuse("said Hello twice");
-  if (std::memchr(hello.worker, 0, sizeof hello.worker) == nullptr)
-    return refuse("worker name is not terminated");
-  if (hello.num_xnodes > kMaxWorkerXNodes) return refuse("too many XNodes");
-  for (std::uint32_t i = 0; i < hello.num_xnodes; ++i)
-    if (!may_name(connection, hello.xnodes[i])) return refuse("names an unknown XNode");
-  if (!agree_on_order(hello.num_order)) return refuse("keeps other order constraints than we do");
+  if (const char* fault = fault_of(connection, hello)) return refuse(fault);
+  const auto page = pages_.find(connection.whose.lease);
   int slot = 0;
   const bool rejoins = hello.rejoin != 0;
   if (rejoins) {
@@ -275,12 +349,79 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   info = SlotInfo{};
   info.worker = hello.worker;
   info.xnodes.assign(hello.xnodes, hello.xnodes + hello.num_xnodes);
+  if (connection.whose.regulated != 0) {
+    if (page == pages_.end() || !welcome_regulated(connection, page->second, slot))
+      return refuse("has no process, or too many workers here");
+    return true;
+  }
   if (!rejoins) referee_->join(slot);
   connection.slot = slot;
   const Welcome answer{.slot = static_cast<std::uint32_t>(slot)};
   return send_packet(connection.socket.get(), &answer, sizeof answer,
                      {memory_fd_.get(), doorbell_.get()})
       .has_value();
+}
+
+/// nullptr: there is none.
+const char* Server::fault_of(const Connection& connection, const Hello& hello) {
+  if (hello.version != kProtocolVersion) return "another protocol version";
+  if (connection.slot >= 0) return "said Hello twice";
+  if (std::memchr(hello.worker, 0, sizeof hello.worker) == nullptr)
+    return "worker name is not terminated";
+  if (hello.num_xnodes > kMaxWorkerXNodes) return "too many XNodes";
+  for (std::uint32_t i = 0; i < hello.num_xnodes; ++i)
+    if (!may_name(connection, hello.xnodes[i])) return "names an unknown XNode";
+  if (!agree_on_order(hello.num_order)) return "keeps other order constraints than we do";
+  return nullptr;
+}
+
+/// False: he may not.
+bool Server::welcome_regulated(Connection& connection, RunPage& page, int slot) {
+  int all = 0;
+  for (const auto& [lease, other] : pages_) all += other.workers;
+  const auto peer = peer_of(connection.socket.get());
+  if (!peer || peer->pid <= 0 || page.workers >= kMaxRunWorkers || all >= kMaxRegulatedWorkers)
+    return false;
+  if (const Status limited = page.hostile() ? limit_raised(peer->pid) : Status(); !limited)
+    refusals_.tell(
+        "if this coordinator and its service are killed, nothing ends a thread of process " +
+            std::to_string(peer->pid) + " that has a core: " + limited.error().what,
+        now_ns());
+  SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+  info.page = &page;
+  info.process = peer->pid;
+  info.lives = process_behind(connection.socket.get(), peer->pid);
+  ++page.workers;
+  connection.slot = slot;
+  referee_->join_regulated(slot, page.shm().slots);
+  const Welcome answer{.slot = static_cast<std::uint32_t>(slot)};
+  return send_packet(connection.socket.get(), &answer, sizeof answer,
+                     {page.memory_fd(), page.doorbell_fd()})
+      .has_value();
+}
+
+/// In their order: who has lost the core is off it before another one is on.
+void Server::lay_hands(const std::vector<Hand>& hands) {
+  const int core = core_number(options_.xpu);
+  for (const Hand& hand : hands) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(hand.slot)];
+    if (info.page == nullptr || core < 0) continue;
+    const bool hostile = info.page->hostile(), gives = hand.kind == Hand::Kind::kGive;
+    const pid_t named = std::exchange(
+        info.named,
+        gives ? static_cast<pid_t>(info.page->shm().slots[hand.slot].coordinator.thread.load())
+              : info.named);
+    // A number may be another's by now: whoever has threads end can know of which.
+    if (hostile || info.named != named || info.thread == 0)
+      info.thread = lives(info.lives.get()) ? thread_of(info.process, info.named) : 0;
+    if (gives) {
+      if (info.thread != 0) (void)give_core(info.thread, core);
+    } else if (info.thread != 0 && hand.kind == Hand::Kind::kOver && !hostile) {
+      let_ask(info.thread);
+    } else if (info.thread != 0) {
+      take_core(info.thread, hostile);
+    }
+  }
 }
 
 /// What one side keeps and the other does not would leave a job waiting for ever, so whether order
@@ -312,8 +453,12 @@ void Server::leave(int slot) {
               xnode_name(state.job.xnode));
   info.absent = false;
   Wakes wakes;
+  referee_->at(now_ns());
   referee_->leave(slot, info.xnodes, wakes);
   wake(wakes);
+  if (info.page == nullptr) return;
+  --info.page->workers;
+  info = SlotInfo{};
 }
 
 // ---- deciding -----------------------------------------------------------------------------------
@@ -322,13 +467,18 @@ void Server::look() {
   thread_.check();
   ++looks_;
   Wakes wakes;
+  if (!pages_.empty()) referee_->at(now_ns());
   referee_->look(wakes);
   wake(wakes);
 }
 
 void Server::wake(const Wakes& wakes) {
+  lay_hands(wakes.hands);
   if (wakes.again) signal_eventfd(doorbell_.get());
-  for (const int slot : wakes.granted) futex_wake(shm_.slots[slot].coordinator.grant, 1);
+  for (const int slot : wakes.granted) {
+    const RunPage* page = slots_[static_cast<std::size_t>(slot)].page;
+    futex_wake((page != nullptr ? page->shm() : shm_).slots[slot].coordinator.grant, 1);
+  }
   for (const int slot : wakes.commanded) futex_advance(shm_.slots[slot].coordinator.bell, 1);
 }
 
@@ -341,7 +491,7 @@ std::string Server::xnode_name(std::uint32_t xnode) const {
 
 /// What the worker of this slot is doing, in words; `fat`: the coordinator decides.
 std::string Server::state_of(int index, bool fat) const {
-  const SlotMemory& memory = shm_.slots[index];
+  const SlotMemory& memory = referee_->memory(index);
   const std::uint64_t owner = shm_.header->owner.load(std::memory_order_seq_cst);
   const std::uint32_t request = memory.worker.request.load(std::memory_order_seq_cst);
   const Want want = request_want(request);

@@ -19,6 +19,7 @@
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
 #include "coord/coordinator_side.h"
+#include "coord/pages.h"
 #include "coord/protocol.h"
 #include "coord/shm_layout.h"
 #include "model/xpu_status.h"
@@ -66,6 +67,8 @@ class Server {
   bool handle_packet(int connection, const void* data, std::size_t bytes);
   /// A connection that was accepted elsewhere; returns false if there are too many.
   bool adopt_connection(UniqueFd socket, const Adopt& whose = {});
+  /// The run of this lease is not trusted: it gets a page of its own, and has of this XPU what is said there.
+  [[nodiscard]] Status regulate(const Regulate& run);
   /// Its workers' connections are closed.
   void end_lease(std::uint32_t lease);
 
@@ -78,7 +81,11 @@ class Server {
   struct SlotInfo {
     std::string worker;
     std::vector<std::uint32_t> xnodes;
-    bool absent = false;  ///< of the coordinator before us; has not come back yet
+    bool absent = false;          ///< of the coordinator before us; has not come back yet
+    RunPage* page = nullptr;      ///< of a run that is not trusted, ...
+    pid_t process = 0;            ///< ... whose process that worker is in, ...
+    UniqueFd lives;               ///< ... which is that one as long as this says so,
+    pid_t named = 0, thread = 0;  ///< ... and what says START there: as it calls it, and as we do
   };
 
   explicit Server(ServerOptions options);
@@ -86,6 +93,11 @@ class Server {
   [[nodiscard]] bool hear_service();
   [[nodiscard]] bool may_name(const Connection& connection, std::uint32_t xnode) const;
   bool welcome(Connection& connection, const void* data, std::size_t bytes);
+  [[nodiscard]] const char* fault_of(const Connection& connection, const Hello& hello);
+  bool welcome_regulated(Connection& connection, RunPage& page, int slot);
+  void lay_hands(const std::vector<Hand>& hands);
+  void hear_doorbell(RunPage& page);
+  void set_alarm();
   [[nodiscard]] bool agree_on_order(std::uint32_t num_order);
   void drop(int connection);
   void leave(int slot);
@@ -98,14 +110,16 @@ class Server {
 
   ServerOptions options_;
   OneThread thread_;
-  UniqueFd epoll_, listener_, memory_fd_, doorbell_;
+  UniqueFd epoll_, listener_, memory_fd_, doorbell_, alarm_;
   Shm shm_;
   std::size_t bytes_ = 0;
   std::optional<Referee<RealAtomics>> referee_;
   std::array<SlotInfo, kMaxSlots> slots_;
-  std::map<int, Connection> connections_;  ///< by descriptor
-  std::int64_t absent_until_ns_ = 0;       ///< 0: everybody of our predecessor's is back
-  int absent_rounds_ = 0;                  ///< of the event loop that are left to come back in
+  std::map<int, Connection> connections_;   ///< by descriptor
+  std::map<std::uint32_t, RunPage> pages_;  ///< by lease
+  std::int64_t alarm_ns_ = 0;               ///< what it is set to; 0: it is not
+  std::int64_t absent_until_ns_ = 0;        ///< 0: everybody of our predecessor's is back
+  int absent_rounds_ = 0;                   ///< of the event loop that are left to come back in
   std::uint64_t looks_ = 0;
   log::Refusals refusals_;
 };

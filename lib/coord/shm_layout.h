@@ -58,6 +58,10 @@
 // requests, and at what has finished, after it has handed the word back. Hence no START is lost, whichever way the words are
 // interleaved: tests/unit/coord/protocol_test.cc tries all ways, with deaths.
 //
+// A run that is not trusted has a page of its own, of the same layout, whose owner word is fat for ever: each START and
+// FINISH rings. The coordinator believes nothing there but what the worker's job is doing and which XNode it is of, and
+// does for it what it has to do: a worker that writes anything else delays itself.
+//
 // Who writes: [W] the worker of the slot, [C] the coordinator, [*] both, by the protocol above.
 #pragma once
 
@@ -70,7 +74,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 9;
+inline constexpr std::uint32_t kShmVersion = 10;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -161,6 +165,8 @@ struct alignas(64) CoordinatorLine {
   std::atomic<std::uint32_t> bell{};     ///< [*] counts its wake-ups; a futex
   std::atomic<std::uint32_t> used{};     ///< [C] 1: a worker has this slot
   std::atomic<std::uint64_t> level{};    ///< [C] of the job granted, written before `grant`
+  /// [W] of a run that is not trusted: the thread that says START, as its process calls it.
+  std::atomic<std::uint32_t> thread{};
 };
 struct SlotMemory {
   WorkerLine worker;
@@ -177,7 +183,8 @@ struct alignas(64) Header {
   std::uint32_t num_xnodes = 0;
   std::uint8_t discipline = 0;
   OrderKept order = OrderKept::kUnknown;  ///< [C]
-  std::uint8_t pad[2] = {};
+  std::uint8_t regulated = 0;             ///< 1: the page of one run, see above
+  std::uint8_t pad = 0;
   alignas(64) std::atomic<std::uint64_t> owner{};  ///< [*]
   alignas(64) std::atomic<std::uint32_t> rings{};  ///< [*] counts rings of the doorbell
   std::atomic<std::uint32_t> waiting{};    ///< [*] 1: the coordinator sleeps, ring its eventfd

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <set>
 
+#include "base/core_levels.h"
 #include "base/log.h"
 #include "base/rt.h"
 #include "coord/rule.h"
@@ -142,10 +143,10 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
 }
 
 void decide_cpu_by_keys(runtime::Session& session) {
-  constexpr int kLevels = 6;  // lowered, admitted, asking, and those above: model/fifo_range.h
+  constexpr int kLevels = kCpuAsks + 3;  // and those above: model/fifo_range.h
   session.cpu.by_keys = session.keys && session.scheduling == runtime::Scheduling::kXAuto &&
                         session.cpu.sched == runtime::CpuSched::kFifo &&
-                        rt::highest_fifo() >= kLevels;
+                        (session.cpu.regulated || rt::highest_fifo() >= kLevels);
 }
 
 std::string cpu_keeper(const runtime::Session& session) {

@@ -44,6 +44,7 @@ std::vector<JoinXpu> shareable_xpus(const runtime::Session& session) {
     std::strncpy(xpu.hardware, real[x].hardware.c_str(), sizeof xpu.hardware - 1);
     xpu.discipline = static_cast<std::uint32_t>(discipline);
     xpu.levels = xpu::levels_of(spec, false);
+    xpu.preempt_us = spec.preempt_us;
   }
   return found;
 }
@@ -62,6 +63,12 @@ Result<Json> ask_who_is_there(const std::string& path) {
   return *std::move(told);
 }
 
+bool is_regulated(const std::string& path) {
+  const auto told = ask_who_is_there(path);
+  const Json* regulated = told ? told->find("you_are_regulated") : nullptr;
+  return regulated != nullptr && regulated->boolean().value_or(false);
+}
+
 Result<SystemLease> SystemLease::ask(const LeaseRequest& request) {
   const std::int64_t until = now_ns() + kGiveBackNs;
   for (;;) {
@@ -73,9 +80,13 @@ Result<SystemLease> SystemLease::ask(const LeaseRequest& request) {
 }
 
 Result<SystemLease> SystemLease::ask_once(const LeaseRequest& request, bool& later) {
-  if (request.demand.empty() || request.demand.size() > kMaxDemandBytes)
+  std::string demand = request.demand;
+  if (!request.tasks.empty())
+    demand.assign(reinterpret_cast<const char*>(request.tasks.data()),
+                  request.tasks.size() * sizeof(LeaseTask));
+  if (demand.empty() || demand.size() > kMaxDemandBytes)
     return fail(ErrorCode::kInvalid,
-                "the demand has " + std::to_string(request.demand.size()) + " bytes, not 1.." +
+                "the demand has " + std::to_string(demand.size()) + " bytes, not 1.." +
                     std::to_string(kMaxDemandBytes),
                 request.app);
   if (request.xpus.size() > kMaxLeaseXpus)
@@ -86,15 +97,16 @@ Result<SystemLease> SystemLease::ask_once(const LeaseRequest& request, bool& lat
   XAUTO_ASSIGN(lease.socket_, connect_to_service(request.path));
   Join join{.num_xnodes = request.num_xnodes,
             .num_xpus = static_cast<std::uint32_t>(request.xpus.size()),
-            .demand_bytes = static_cast<std::uint32_t>(request.demand.size())};
+            .demand_bytes = static_cast<std::uint32_t>(demand.size()),
+            .num_tasks = static_cast<std::uint32_t>(request.tasks.size())};
   std::strncpy(join.app, request.app.c_str(), sizeof join.app - 1);
   std::copy(request.xpus.begin(), request.xpus.end(), join.xpus);
   const int fd = lease.socket_.get();
   XAUTO_TRY(send_packet(fd, &join, sizeof join, {}, IfFull::kWait));
-  for (std::size_t at = 0; at < request.demand.size(); at += kDemandPiece) {
-    const std::size_t bytes = std::min(kDemandPiece, request.demand.size() - at);
+  for (std::size_t at = 0; at < demand.size(); at += kDemandPiece) {
+    const std::size_t bytes = std::min(kDemandPiece, demand.size() - at);
     // Where it was refused meanwhile, the answer is there all the same.
-    if (!send_packet(fd, request.demand.data() + at, bytes, {}, IfFull::kWait)) break;
+    if (!send_packet(fd, demand.data() + at, bytes, {}, IfFull::kWait)) break;
   }
   if (!wait_readable(fd, kAnswerMs))
     return fail(ErrorCode::kTimeout, "did not answer within a minute", request.path);

@@ -24,7 +24,8 @@ struct LeaseRequest {
   std::string app;
   std::uint32_t num_xnodes = 0;  ///< of all tables together
   std::vector<JoinXpu> xpus;     ///< those that it uses and others may share
-  std::string demand;            ///< text of a demand file
+  std::string demand;            ///< text of a demand file; or
+  std::vector<LeaseTask> tasks;  ///< of a run that is not trusted
 };
 
 /// The real XPUs that the session's policy uses and coordinators schedule: the kernel's own scheduler of CPUs (--cpu-sched
@@ -34,6 +35,9 @@ struct LeaseRequest {
 /// Who is there, as the service says: `apps` with app, uid and xpus, `coordinators` with xpu, pid
 /// and discipline. Errors as below.
 [[nodiscard]] Result<Json> ask_who_is_there(const std::string& path);
+/// Runs of this user are not trusted there: each gets a page of its own, and has its XPUs for what it asks for, and no
+/// longer. False also where nobody answers.
+[[nodiscard]] bool is_regulated(const std::string& path);
 
 class SystemLease {
  public:

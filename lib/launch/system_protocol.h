@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is said at the machine's socket (AF_UNIX, SOCK_SEQPACKET, a path). Who connects says one of
-//   Join, then its demand in pieces   a run: answered with Admitted or NotAdmitted. The connection is its lease:
+//   Join, then its demand in pieces (of a run that is not trusted: its LeaseTasks)   a run: answered with Admitted or NotAdmitted. The connection is its lease:
 //                                     where it ends, the run has gone
 //   coord::Attach                     a worker of such a run: the connection goes on to the coordinator
 //   MessageKind::kStatus alone        anybody: answered with JSON text
@@ -15,7 +15,7 @@
 
 namespace xauto::launch {
 
-inline constexpr std::uint32_t kSystemVersion = 1;
+inline constexpr std::uint32_t kSystemVersion = 2;
 inline constexpr const char* kSystemSocket = "/run/xauto/coordinator.sock";
 inline constexpr std::size_t kMaxLeaseXpus = 64;
 inline constexpr std::size_t kMaxLeaseName = 64;
@@ -33,6 +33,14 @@ struct JoinXpu {
   char hardware[coord::kMaxHardwareName] = {};  ///< what that is on this machine, "core3"
   std::uint32_t discipline = 0;                 ///< xauto::Discipline
   std::int32_t levels = 0;                      ///< of Discipline::kLevels
+  std::int64_t preempt_us = 0;                  ///< as its platform says
+};
+
+/// An XNode of a run that is not trusted. The XNode's number is the app's.
+struct LeaseTask {
+  std::uint32_t xpu = 0;  ///< index into Join::xpus
+  std::uint32_t pad = 0;
+  coord::SporadicTask task;
 };
 
 struct Join {
@@ -42,7 +50,7 @@ struct Join {
   std::uint32_t num_xnodes = 0;
   std::uint32_t num_xpus = 0;
   std::uint32_t demand_bytes = 0;
-  std::uint32_t pad = 0;
+  std::uint32_t num_tasks = 0;  ///< above 0: LeaseTasks come in place of a demand
   JoinXpu xpus[kMaxLeaseXpus] = {};
 };
 
@@ -63,6 +71,7 @@ struct NotAdmitted {
 
 static_assert(std::is_trivially_copyable_v<Join> &&
               sizeof(Join) == 88 + kMaxLeaseXpus * sizeof(JoinXpu));
+static_assert(std::is_trivially_copyable_v<LeaseTask> && sizeof(LeaseTask) == 48);
 static_assert(std::is_trivially_copyable_v<Admitted> && sizeof(Admitted) == 24);
 static_assert(std::is_trivially_copyable_v<NotAdmitted> && sizeof(NotAdmitted) == 1024);
 

@@ -12,7 +12,10 @@
 #include <sys/socket.h>
 
 #include "base/clock.h"
+#include "base/core_levels.h"
+#include "base/rt.h"
 #include "base/socket.h"
+#include "coord/core_thread.h"
 #include "coord/shm_layout.h"
 #include "model/json.h"
 #include "model/json_value.h"
@@ -23,8 +26,10 @@ namespace {
 constexpr std::size_t kMaxGuests = 256;
 constexpr std::size_t kMaxGuestsOfUser = 192;
 constexpr std::size_t kMaxLeases = 64;
+constexpr std::ptrdiff_t kMaxRegulatedRuns = 4;
 constexpr std::int64_t kGuestNs =
     2'000'000'000;  ///< between two packets of one that has not said all
+constexpr std::size_t kMaxRunProcesses = 64;
 constexpr int kServiceLookMs = 200;
 constexpr std::int64_t kMomentNs = 200'000'000;
 
@@ -82,6 +87,8 @@ SystemService::SystemService(SystemOptions options)
 
 SystemService::~SystemService() {
   daemons_.stop(kGraceMs);
+  for (const auto& [number, lease] : leases_)
+    for (const RaisedProcess& process : lease.processes) process.lower();
 }
 
 void SystemService::run(int stop_fd) {
@@ -102,6 +109,8 @@ void SystemService::run(int stop_fd) {
     close_late_guests(now_ns());
     forget_departed();
     (void)daemons_.look_after(now_ns());
+    // It knew whose turn it was, and whom it had raised.
+    if (std::exchange(deaths_, daemons_.deaths()) != deaths_) end_regulated();
   }
 }
 
@@ -165,7 +174,7 @@ bool SystemService::hear_guest(Guest& guest) {
   if (packet.size() < sizeof kind) return false;
   std::memcpy(&kind, packet.data(), sizeof kind);
   if (kind == static_cast<std::uint32_t>(coord::MessageKind::kStatus)) {
-    const std::string text = status();
+    const std::string text = status(guest.uid);
     (void)send_packet(fd, text.data(), text.size());
     return false;
   }
@@ -173,20 +182,20 @@ bool SystemService::hear_guest(Guest& guest) {
       packet.size() == sizeof(coord::Attach)) {
     coord::Attach attach;
     std::memcpy(&attach, packet.data(), sizeof attach);
-    hand_on(std::move(guest.socket), attach);
+    hand_on(std::move(guest.socket), guest.uid, attach);
     return false;
   }
   if (kind != static_cast<std::uint32_t>(SystemWord::kJoin) || packet.size() != sizeof(Join))
     return false;
   std::memcpy(&guest.join.emplace(), packet.data(), sizeof(Join));
-  const Status fault = fault_of(*guest.join);
+  const Status fault = fault_of(*guest.join, guest.uid);
   if (!fault) refuse_run(fd, fault.error(), false);
   return fault.has_value();
 }
 
 // ---- a run joins and leaves ---------------------------------------------------------------------
 
-Status SystemService::fault_of(const Join& join) const {
+Status SystemService::fault_of(const Join& join, uid_t uid) const {
   if (join.version != kSystemVersion)
     return fail(ErrorCode::kInvalid, "speaks version " + std::to_string(join.version) +
                                          ", the machine's service version " +
@@ -207,6 +216,33 @@ Status SystemService::fault_of(const Join& join) const {
   }
   if (leases_.size() + departed_.size() >= kMaxLeases)
     return fail(ErrorCode::kUnavailable, "as many runs as can be are there");
+  return fault_of_tasks(join, uid);
+}
+
+/// Of a run that is not trusted.
+Status SystemService::fault_of_tasks(const Join& join, uid_t uid) const {
+  const bool regulated = !options_.trust.trusts(uid);
+  if (regulated != (join.num_tasks > 0))
+    return fail(ErrorCode::kInvalid,
+                regulated ? "is not trusted here, and does not say what each XNode needs"
+                          : "is trusted here, and says what only others do");
+  if (!regulated) return {};
+  if (join.num_tasks > coord::kMaxRegulated || join.num_xnodes > coord::kMaxRegulated ||
+      join.demand_bytes != join.num_tasks * sizeof(LeaseTask))
+    return fail(ErrorCode::kInvalid, "is not trusted here, and has more than " +
+                                         std::to_string(coord::kMaxRegulated) + " XNodes");
+  const auto others = [&](const auto& entry) {
+    return entry.second.regulated() && is_stranger(entry.second.uid) && entry.second.uid != uid;
+  };
+  // A thread that has a core may go to another one: what it takes there nobody of its own user has.
+  if (is_stranger(uid) && std::any_of(leases_.begin(), leases_.end(), others))
+    return fail(ErrorCode::kUnavailable, "another user who is not trusted is there");
+  if (std::ranges::count_if(leases_, [](const auto& entry) { return entry.second.regulated(); }) >=
+      kMaxRegulatedRuns)
+    return fail(ErrorCode::kUnavailable, "as many runs that are not trusted as can be are there");
+  if (is_stranger(uid) ? !coord::may_give_cores() : rt::highest_fifo() < kCpuAsks)
+    return fail(ErrorCode::kPermission,
+                "the machine's service may not set how other users' threads are scheduled");
   return {};
 }
 
@@ -239,17 +275,23 @@ bool SystemService::take_piece(Guest& guest, const std::string& piece) {
 Result<std::uint32_t> SystemService::admit(Guest& guest, bool& later) {
   const Join& join = *guest.join;
   Leased lease{.uid = guest.uid, .num_xnodes = join.num_xnodes, .app = join.app, .demand = {}};
-  XAUTO_ASSIGN(lease.demand, demand_here(join, guest.demand));
-  std::vector<Demand> demands;
-  for (const auto& [number, other] : leases_) demands.push_back(other.demand);
-  demands.push_back(lease.demand);
-  XAUTO_TRY(options_.admission(demands));
+  if (join.num_tasks > 0) {
+    lease.tasks.resize(join.num_tasks);
+    std::memcpy(static_cast<void*>(lease.tasks.data()), guest.demand.data(), guest.demand.size());
+    XAUTO_ASSIGN(lease.demand, demand_of_tasks(join, lease.tasks));
+  } else {
+    XAUTO_ASSIGN(lease.demand, demand_here(join, guest.demand));
+  }
+  Status fits = test(lease, true, false);
+  if (!fits && !lease.regulated() && test(lease, false, false)) {
+    // Who is trusted finds the machine as if nobody else were there.
+    end_regulated();
+    fits = test(lease, true, false);
+  }
+  if (!fits) return tl::unexpected<Error>(std::move(fits).error());
   forget_departed();
   if (!departed_.empty()) {
-    demands.pop_back();
-    for (const Departed& other : departed_) demands.push_back(other.demand);
-    demands.push_back(lease.demand);
-    Status still = options_.admission(demands);
+    Status still = test(lease, true, true);
     later = !still.has_value();
     if (later) return tl::unexpected<Error>(std::move(still).error());
   }
@@ -263,7 +305,41 @@ Result<std::uint32_t> SystemService::admit(Guest& guest, bool& later) {
     return tl::unexpected<Error>(std::move(shared).error());
   }
   leases_.emplace(++last_lease_, std::move(lease));
+  regulate(last_lease_, join);
   return last_lease_;
+}
+
+/// Whether it can come to those that are there, and to what those have not given back that have left.
+Status SystemService::test(const Leased& newcomer, bool with_regulated, bool with_departed) const {
+  std::vector<Demand> demands;
+  std::set<std::string> cut;
+  const auto add = [&](const Demand& demand, bool regulated) {
+    if (regulated && !with_regulated) return;
+    demands.push_back(demand);
+    if (!regulated) return;
+    for (const DemandOnXpu& on : demand.xpus) cut.insert(on.xpu.id);
+  };
+  for (const auto& [number, other] : leases_) add(other.demand, other.regulated());
+  if (with_departed)
+    for (const Departed& other : departed_) add(other.demand, other.regulated);
+  add(newcomer.demand, newcomer.regulated());
+  for (Demand& demand : demands) charge_all(demand, cut);
+  return options_.admission(demands);
+}
+
+/// Tells each coordinator what a run that is not trusted may have.
+void SystemService::regulate(std::uint32_t number, const Join& join) {
+  const Leased& lease = leases_.at(number);
+  if (!lease.regulated()) return;
+  for (std::uint32_t i = 0; i < join.num_xpus; ++i) {
+    coord::Regulate run{.lease = number, .hostile = is_stranger(lease.uid) ? 1u : 0u};
+    for (const LeaseTask& one : lease.tasks) {
+      if (one.xpu != i) continue;
+      coord::SporadicTask& task = run.tasks[run.num_tasks++] = one.task;
+      task.xnode += lease.first_xnode;
+    }
+    (void)send_packet(shared_.at(join.xpus[i].hardware).control.get(), &run, sizeof run);
+  }
 }
 
 /// A coordinator for each XPU of a run.
@@ -300,19 +376,30 @@ std::optional<std::uint32_t> SystemService::room_for(std::uint32_t num_xnodes) c
   return std::nullopt;
 }
 
-void SystemService::hand_on(UniqueFd worker, const coord::Attach& attach) {
+void SystemService::hand_on(UniqueFd worker, uid_t uid, const coord::Attach& attach) {
   const auto lease = leases_.find(attach.lease);
   const std::string hardware = ends(attach.hardware) ? attach.hardware : "";
   const auto shared = shared_.find(hardware);
   if (attach.version != coord::kProtocolVersion)
     return refuse_worker(worker.get(), "another protocol version");
-  if (lease == leases_.end() || lease->second.secret != attach.secret)
+  if (lease == leases_.end() || lease->second.secret != attach.secret || lease->second.uid != uid)
     return refuse_worker(worker.get(), "the run has no lease here: its service has begun again");
   if (shared == shared_.end() || !has(lease->second.demand, hardware))
     return refuse_worker(worker.get(), "the run has joined without this XPU");
+  if (Leased& run = lease->second; run.regulated()) {
+    const auto peer = peer_of(worker.get());
+    const auto same = [&](const RaisedProcess& process) { return process.pid() == peer->pid; };
+    if (!peer || peer->pid <= 0) return refuse_worker(worker.get(), "its process is not seen");
+    if (std::none_of(run.processes.begin(), run.processes.end(), same)) {
+      if (run.processes.size() >= kMaxRunProcesses)
+        return refuse_worker(worker.get(), "the run has too many processes");
+      run.processes.emplace_back(worker.get(), peer->pid);
+    }
+  }
   const coord::Adopt adopt{.lease = attach.lease,
                            .first_xnode = lease->second.first_xnode,
-                           .num_xnodes = lease->second.num_xnodes};
+                           .num_xnodes = lease->second.num_xnodes,
+                           .regulated = lease->second.regulated() ? 1u : 0u};
   if (!send_packet(shared->second.control.get(), &adopt, sizeof adopt, {worker.get()}))
     refuse_worker(worker.get(), "the coordinator of this XPU is gone");
 }
@@ -322,14 +409,23 @@ void SystemService::end(std::uint32_t number) {
   const auto found = leases_.find(number);
   const Leased lease = std::move(found->second);
   leases_.erase(found);
-  departed_.push_back({lease.demand, now_ns() + kMomentNs});
+  departed_.push_back({lease.demand, lease.regulated(), now_ns() + kMomentNs});
   const coord::Adopt over{.kind = static_cast<std::uint32_t>(coord::MessageKind::kEndLease),
                           .lease = number};
   for (const DemandOnXpu& on : lease.demand.xpus)
     if (const auto shared = shared_.find(on.xpu.id); shared != shared_.end())
       (void)send_packet(shared->second.control.get(), &over, sizeof over);
   stop_unused();
+  for (const RaisedProcess& process : lease.processes) process.lower();
   log::info("app '{}'{} has left", lease.app, of_uid(lease.uid));
+}
+
+/// All runs that are not trusted go on as ordinary ones.
+void SystemService::end_regulated() {
+  std::vector<std::uint32_t> numbers;
+  for (const auto& [number, lease] : leases_)
+    if (lease.regulated()) numbers.push_back(number);
+  for (const std::uint32_t number : numbers) end(number);
 }
 
 void SystemService::stop_unused() {
@@ -343,19 +439,23 @@ void SystemService::stop_unused() {
   }
 }
 
-std::string SystemService::status() const {
+std::string SystemService::status(uid_t uid) const {
   Json apps = Json::array();
   for (const auto& [number, lease] : leases_) {
     Json xpus = Json::array();
     for (const DemandOnXpu& on : lease.demand.xpus) xpus.push_back(on.xpu.id);
-    apps.push_back({{"app", lease.app}, {"uid", lease.uid}, {"xpus", xpus}});
+    apps.push_back(
+        {{"app", lease.app}, {"uid", lease.uid}, {"xpus", xpus}, {"regulated", lease.regulated()}});
   }
   Json coordinators = Json::array();
   for (const auto& [hardware, shared] : shared_)
     coordinators.push_back({{"xpu", hardware},
                             {"pid", daemons_.pid_of(hardware)},
                             {"discipline", to_string(shared.discipline)}});
-  return Json({{"apps", apps}, {"coordinators", coordinators}}).dump();
+  return Json({{"apps", apps},
+               {"coordinators", coordinators},
+               {"you_are_regulated", !options_.trust.trusts(uid)}})
+      .dump();
 }
 
 /// One that nobody uses any more has no coordinator.

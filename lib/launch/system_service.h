@@ -23,6 +23,7 @@
 #include "base/unique_fd.h"
 #include "coord/door.h"
 #include "launch/daemons.h"
+#include "launch/regulated.h"
 #include "launch/system_protocol.h"
 #include "model/demand.h"
 
@@ -36,6 +37,7 @@ struct SystemOptions {
   std::string bin;    ///< folder with xauto-coordinator
   UniqueFd listener;  ///< listens
   Admission admission;
+  Trust trust = {};
 };
 
 /// Threads: one, which must live as long as the service.
@@ -68,11 +70,15 @@ class SystemService {
     std::uint64_t secret = 0;
     std::uint32_t first_xnode = 0, num_xnodes = 0;
     std::string app;
-    Demand demand;  ///< of each XPU that it has
+    Demand demand;                         ///< of each XPU that it has
+    std::vector<LeaseTask> tasks;          ///< of a run that is not trusted, ...
+    std::vector<RaisedProcess> processes;  ///< ... and who has come for it
+    [[nodiscard]] bool regulated() const { return !tasks.empty(); }
   };
   /// A run that has left, with those XPUs of it that have not been idle since.
   struct Departed {
     Demand demand;
+    bool regulated = false;
     std::int64_t look_ns = 0;  ///< not before: its processes need a moment to die
   };
   struct Shared {
@@ -85,16 +91,20 @@ class SystemService {
   void close_late_guests(std::int64_t now_ns);
   [[nodiscard]] bool hear_guest(Guest& guest);
   [[nodiscard]] bool take_piece(Guest& guest, const std::string& piece);
-  [[nodiscard]] Status fault_of(const Join& join) const;
+  [[nodiscard]] Status fault_of(const Join& join, uid_t uid) const;
+  [[nodiscard]] Status fault_of_tasks(const Join& join, uid_t uid) const;
   [[nodiscard]] Result<std::uint32_t> admit(Guest& guest, bool& later);
+  [[nodiscard]] Status test(const Leased& newcomer, bool with_regulated, bool with_departed) const;
   [[nodiscard]] Status share(const Join& join);
+  void regulate(std::uint32_t lease, const Join& join);
   [[nodiscard]] std::optional<std::uint32_t> room_for(std::uint32_t num_xnodes) const;
-  void hand_on(UniqueFd worker, const coord::Attach& attach);
+  void hand_on(UniqueFd worker, uid_t uid, const coord::Attach& attach);
   void end(std::uint32_t lease);
+  void end_regulated();
   void stop_unused();
   void forget_departed();
   [[nodiscard]] bool used(const std::string& hardware) const;
-  [[nodiscard]] std::string status() const;
+  [[nodiscard]] std::string status(uid_t uid) const;
 
   OneThread thread_;
   SystemOptions options_;
@@ -105,6 +115,7 @@ class SystemService {
   std::map<std::string, Shared> shared_;    ///< by hardware
   std::vector<Departed> departed_;
   std::uint32_t last_lease_ = 0;
+  std::uint64_t deaths_ = 0;  ///< of coordinators, so far
   log::Refusals refusals_;
 };
 

@@ -92,8 +92,9 @@ std::int64_t JobTimes::end(const Placed& placed) {
     else if (hang_ns == 0 || wall_ns <= hang_ns)  // else its XPU counts as lost
       line.past(charged_ns, placed.table);
   }
-  // Time that strangers take of the XPU is within the certificate as long as the job's WCET covers it, too.
-  if (wcet_ns > 0 && !placed.watched && charged_ns <= wcet_ns &&
+  // Time that strangers take of the XPU is within the certificate as long as the job's WCET covers it, too. Where others
+  // are admitted nobody here knows whose it was.
+  if (wcet_ns > 0 && !on_.shared && !placed.watched && charged_ns <= wcet_ns &&
       charged_ns + without.foreign_ns > wcet_ns)
     on_.counts->crowd(without.foreign_ns);
   if (told) line.ended();

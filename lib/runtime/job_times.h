@@ -25,6 +25,7 @@ class JobTimes {
     const coord::Port* port = nullptr;  ///< null: nobody schedules
     std::int64_t preempt_ns = 0;        ///< what taking the XPU from another costs
     bool on_thread = false;             ///< the work of its jobs is its thread, on a core
+    bool shared = false;                ///< jobs of other runs are admitted to its XPU
   };
   /// Before its threads look at anything else.
   void set_up(const On& on) { on_ = on; }

@@ -284,22 +284,24 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   const bool emulated = session.emulated(at);
   const bool real_cpu = !emulated && x.type == "cpu";
   WorkerOptions options{.backend = {x, xpu_id(platform, at), emulated, session.emulator_modules,
-                                    scheduled, session.cpu.by_keys}};
+                                    scheduled, session.cpu.by_keys && !session.cpu.regulated}};
   options.xpu = at;
   options.preempt_ns = x.preempt_us * 1000;
   options.name = context.graph.modules[module].name +
                  (index > 0 ? fmt::format("#{}", index + 1) : "") + "@" + x.id;
   options.mgmt_fifo = workers.management;
-  options.exec_fifo = !real_cpu             ? workers.execution
-                      : session.cpu.by_keys ? xpu::kCpuAsks
-                      : scheduled           ? workers.cpu_lowest
-                                            : 0;
+  options.exec_fifo = !real_cpu               ? workers.execution
+                      : session.cpu.regulated ? 0
+                      : session.cpu.by_keys   ? kCpuAsks
+                      : scheduled             ? workers.cpu_lowest
+                                              : 0;
   const xpu::Hardware machine = xpu::Hardware::here();
   if (session.presence_of(at) == Presence::kAbsent ||
       (!emulated && !machine.has(platform, static_cast<std::size_t>(at)) && x.type == "cpu"))
     return fail(ErrorCode::kInvalid, "has XNodes in this run, and is not here: " + machine.lacks(x),
                 x.id, "use a platform file of this machine: xauto doctor --platform-out here.json");
-  if (real_cpu && (scheduled || session.scheduling == Scheduling::kTimeshare)) {
+  if (real_cpu && !session.cpu.regulated &&
+      (scheduled || session.scheduling == Scheduling::kTimeshare)) {
     options.core = cores[static_cast<std::size_t>(options.backend.id.index)];
   }
   if (scheduled) {

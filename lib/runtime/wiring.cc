@@ -153,9 +153,9 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
     placed.urgency =
         Urgency::of_priority(session.of_table(table).placements[placed.xnode].priority);
   }
-  if (!session.emulated(xpu) && x.type == "cpu")
+  if (!session.emulated(xpu) && x.type == "cpu" && !session.cpu.regulated)
     placed.fifo_priority =
-        session.cpu.by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
+        session.cpu.by_keys ? kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
   tell_order(placed, xpu);
   return placed;
 }

@@ -54,7 +54,8 @@ Status Worker::start() {
     XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
                                              options_.order, options_.mgmt_fifo));
   }
-  times_.set_up({options_.counts, port_.get(), options_.preempt_ns, backend_->on_thread()});
+  times_.set_up({options_.counts, port_.get(), options_.preempt_ns, backend_->on_thread(),
+                 port_ && port_->shared()});
   if (port_) {
     XAUTO_ASSIGN(mgmt_, start_thread([this] {
                    manage();
@@ -87,7 +88,7 @@ Status Worker::init_nodes() {
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
   XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
   times_.of_this_thread();
-  if (backend_->on_thread()) given_ = rt::placement_of(times_.thread_id());
+  if (backend_->on_thread() && options_.core) given_ = rt::placement_of(times_.thread_id());
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this || std::exchange(placed.here->there, true)) continue;
     detail::Made& made = placed.here->made;

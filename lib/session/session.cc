@@ -136,7 +136,7 @@ void fields(Io io, T& x) {
 template <class Io, Is<CpuPlan> T>
 void fields(Io io, T& x) {
   io("sched", x.sched, "run", x.run, "first_xnode", x.first_xnode, "scheduler_pid", x.scheduler_pid,
-     "partial", x.partial, "by_keys", x.by_keys, "policy", x.policy);
+     "partial", x.partial, "by_keys", x.by_keys, "regulated", x.regulated, "policy", x.policy);
 }
 
 /// All but `process`.

@@ -85,6 +85,8 @@ struct CpuPlan {
   /// They follow keys by SCHED_FIFO: the coordinator admits one job per core and has the others
   /// lowered. Of a policy of keys, where that is permitted and sched_ext does not do it.
   bool by_keys = false;
+  /// ... and it is the machine's coordinators that give a core to a thread, and take it: the run is not trusted.
+  bool regulated = false;
   /// Who has pinned the policy's map (kernel/policy_map.h), which a change of the table has to be told to; empty:
   /// nobody.
   std::string policy;

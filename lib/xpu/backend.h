@@ -9,6 +9,7 @@
 #include <xauto/xpu.h>
 
 #include "base/context_counts.h"
+#include "base/core_levels.h"
 
 namespace xauto::xpu {
 
@@ -72,9 +73,7 @@ class Surroundings {
 [[nodiscard]] Status check_thread(const SchedHandle& handle);
 /// A core of this machine (cpu_thread.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_thread(const XpuId& xpu);
-/// SCHED_FIFO priorities of the threads on a core that follows keys; who says START has kCpuAsks.
-inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
-/// The same where the coordinator follows keys, which SCHED_FIFO does not know (cpu_by_keys.cc).
+/// A core where the coordinator follows keys, which SCHED_FIFO does not know (cpu_by_keys.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_by_keys(const XpuId& xpu);
 /// What the app suspends itself, by SchedHandle::custom (custom.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_custom(const XpuId& xpu);

@@ -191,4 +191,35 @@ Result<Demand> demand_of(const AppSpec& app, const Platform& platform, const Pol
   return demand;
 }
 
+Result<std::vector<SporadicNeed>> sporadic_needs_of(const AppSpec& app, const Platform& platform,
+                                                    const Policy& policy) {
+  XAUTO_TRY(has_demand(app));
+  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false));
+  constexpr __int128 kNsPerUs = 1000;
+  std::vector<SporadicNeed> needs;
+  for (int i = 0; i < static_cast<int>(app.xnodes.size()); ++i) {
+    if (!w.urgent[at(i)].empty())
+      return fail(ErrorCode::kInvalid, "its releases may be urgent: nobody can enforce how often",
+                  "XNode '" + w.name(i) + "'");
+    checking::Ticks window = checking::kMaxTicks, longest = 0;
+    for (const checking::Window& one : w.windows[at(i)]) {
+      window = std::min(window, one.d - one.a);
+      longest = std::max(longest, one.d - one.e);
+    }
+    const checking::Component& c = w.home(i);
+    const int xpu = policy.placements[at(i)].xpu;
+    const Xpu& on = platform.xpus[at(xpu)];
+    const checking::Ticks work =
+        w.wcet[at(i)] + (on.preemptive ? on.preempt_us * w.scale : checking::Ticks{0});
+    needs.push_back(
+        {.xnode = i,
+         .xpu = xpu,
+         .period_ns = checking::floor_div(checking::least(c.period, c.ppm) * kNsPerUs, w.scale),
+         .window_ns = checking::floor_div(window * kNsPerUs, w.scale),
+         .longest_ns = checking::ceil_div(longest * kNsPerUs, w.scale),
+         .work_ns = checking::ceil_div(work * kNsPerUs, w.scale)});
+  }
+  return needs;
+}
+
 }  // namespace xauto::solver::keys

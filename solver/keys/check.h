@@ -80,6 +80,19 @@ struct CheckReport {
 [[nodiscard]] Result<Demand> demand_of(const AppSpec& app, const Platform& platform,
                                        const Policy& policy);
 
+/// What an XNode asks of its XPU where its app is not trusted: nothing is known of it but this. In ns.
+struct SporadicNeed {
+  int xnode = 0, xpu = 0;
+  std::int64_t period_ns = 0;   ///< between two of its releases, at least
+  std::int64_t window_ns = 0;   ///< from when a job is ready to its key: of the shortest
+  std::int64_t longest_ns = 0;  ///< from its earliest start to its key: of the longest
+  std::int64_t work_ns = 0;     ///< WCET, and what a preemption costs
+};
+/// Of each XNode of a policy that check() takes. kInvalid: as demand_of; or releases may be urgent.
+[[nodiscard]] Result<std::vector<SporadicNeed>> sporadic_needs_of(const AppSpec& app,
+                                                                  const Platform& platform,
+                                                                  const Policy& policy);
+
 /// Whether the last of these apps can come to the others: on each XPU that it uses, and be it alone there, all demands
 /// together have a proof. Then every claim of each of them stands (docs/keys.md, "Apps compose"). kInfeasible: on which
 /// XPU they do not fit, and by how much; kInvalid: they do not agree on what that XPU is.

@@ -29,7 +29,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   // The server's side of a connection is handed to it as run() would; we keep the other end.
   int ends[2];
   if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) std::abort();
-  (*server)->adopt_connection(UniqueFd(ends[0]));
+  // Whether it has a page of its own, and what it may have.
+  const bool regulated = data[1] >= 128;
+  Regulate run{.lease = 7, .num_tasks = 4};
+  for (std::uint32_t i = 0; i < 4; ++i)
+    run.tasks[i] = {
+        .xnode = i, .period_ns = 1000, .window_ns = 500, .longest_ns = 500, .budget_ns = 1 + i};
+  if (regulated && !(*server)->regulate(run)) std::abort();
+  (*server)->adopt_connection(UniqueFd(ends[0]), {.lease = 7, .regulated = regulated ? 1u : 0u});
   const UniqueFd ours(ends[1]);
   Hello hello;
   hello.num_xnodes = 4;

@@ -34,7 +34,8 @@ SystemService& service() {
                               static int asked = 0;
                               if (demands.size() > 1 || ++asked % 2 == 0) return {};
                               return fail(ErrorCode::kInfeasible, "odd", "XPU core0");
-                            }});
+                            },
+                            .trust = {.all = false, .nobody = false, .users = {}}});
   return one;
 }
 
@@ -60,6 +61,22 @@ Join good_join() {
   return join;
 }
 
+/// Of one that is not trusted, and what follows it.
+Join regulated_join() {
+  Join join{.num_xnodes = 3, .num_xpus = 1, .demand_bytes = 2 * sizeof(LeaseTask), .num_tasks = 2};
+  std::strcpy(join.app, "app");
+  std::strcpy(join.xpus[0].id, "a");
+  std::strcpy(join.xpus[0].hardware, "core0");
+  return join;
+}
+struct Tasks {
+  LeaseTask of[2] = {
+      {.task =
+           {.xnode = 0, .period_ns = 9000, .window_ns = 500, .longest_ns = 500, .budget_ns = 100}},
+      {.task = {
+           .xnode = 1, .period_ns = 9000, .window_ns = 500, .longest_ns = 500, .budget_ns = 100}}};
+};
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
@@ -67,7 +84,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) std::abort();
   const UniqueFd ours(ends[1]);
   fcntl(ours.get(), F_SETFL, O_NONBLOCK);
-  const int theirs = service().adopt(UniqueFd(ends[0]), 1000);
+  const int theirs = service().adopt(UniqueFd(ends[0]), size > 0 && data[0] >= 128 ? 1000 : 0);
   if (theirs < 0) std::abort();
   bool kept = true;
   for (std::size_t at = 0; at + 2 <= size && kept;) {
@@ -79,7 +96,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         packet.assign(reinterpret_cast<const char*>(bytes), length);
         break;
       case 1:
-        packet = over(good_join(), bytes, length);
+        packet = over(data[at] < 128 ? good_join() : regulated_join(), bytes, length);
         break;
       case 2:
         packet = over(coord::Attach{}, bytes, length);
@@ -88,7 +105,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         packet.assign(kDemandPiece, 'd');
         break;
       default:
-        packet = kDemand;
+        packet = data[at] < 128 ? kDemand : over(Tasks{}, bytes, length);
     }
     at += 2 + length;
     if (packet.empty() || !send_packet(ours.get(), packet.data(), packet.size())) continue;

@@ -11,7 +11,7 @@ import tempfile
 import time
 import unittest
 
-from common import TESTAPP, children_of, testapp_files, wait_for, xauto
+from common import FULL, TESTAPP, children_of, testapp_files, wait_for, xauto
 
 BIN = pathlib.Path(os.environ["XAUTO_BIN"])
 
@@ -86,9 +86,9 @@ class System(unittest.TestCase):
         wait_for("nobody", lambda: self.admitted() == [] and self.coordinators() == [])
 
     def test_coordinators_and_runs_that_are_killed_take_nobody_with_them(self):
-        first = self.start("first", 40_000)
+        first = self.start("first", 40_000, flags=("--overload", "queue:64"))
         wait_for("the first", lambda: self.admitted() == ["first"] and len(self.coordinators()) == 2, first)
-        for _ in range(5):
+        for _ in range(300 if FULL else 5):
             second = self.start("second", 50_000)
             wait_for("the second", lambda: "second" in self.admitted(), second)
             victim = self.coordinators()[0]
@@ -97,6 +97,17 @@ class System(unittest.TestCase):
             second.send_signal(signal.SIGKILL)
             second.wait()
             wait_for("it has left", lambda: self.admitted() == ["first"])
+        self.assertEqual(self.stopped(first, "first")["lost_activations"], 0)
+
+    def test_one_that_joins_and_leaves_takes_nothing_from_the_other(self):
+        first = self.start("first", 40_000, flags=("--overload", "queue:64"))
+        wait_for("the first", lambda: self.admitted() == ["first"], first)
+        for _ in range(1000 if FULL else 3):
+            second = self.start("second", 50_000, flags=("--overload", "queue:64"))
+            wait_for("the second", lambda: "second" in self.admitted(), second)
+            second.terminate()  # its program may not have begun: what it says of that is early_test's
+            second.communicate(timeout=60)
+            wait_for("it has left", lambda: self.admitted() == ["first"], first)
         self.assertEqual(self.stopped(first, "first")["lost_activations"], 0)
 
     def test_the_service_is_killed(self):

@@ -46,16 +46,24 @@ int main(int argc, char** argv) {
   xauto::open_standard_streams();
   xauto::cli::Program cli("One coordinator per XPU instance of the machine, for all runs that ask.",
                           "xauto-system");
-  std::string path = xauto::launch::kSystemSocket;
+  std::string path = xauto::launch::kSystemSocket, trusted = "all";
   cli.option("--socket", path, "where to listen, unless systemd has the socket").shown();
+  cli.option("--trust", trusted,
+             "whose runs keep what they state: all who may connect, nobody, or names of users with "
+             "commas between "
+             "them, beside root and the service's own user. What others ask for is enforced")
+      .shown();
   cli.version("xauto-system " XAUTO_VERSION);
   if (const auto status = cli.parse(argc, argv)) return *status;
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
+  auto trust = xauto::launch::Trust::parse(trusted);
+  if (!trust) return complain(trust.error());
   auto socket = listener(path);
   if (!socket) return complain(socket.error());
   xauto::launch::SystemService service({.bin = xauto::program_directory(),
                                         .listener = std::move(*socket),
-                                        .admission = xauto::solver::keys::check_together});
+                                        .admission = xauto::solver::keys::check_together,
+                                        .trust = std::move(*trust)});
   service.run(stop.get());
   return 0;
 }

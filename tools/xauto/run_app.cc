@@ -12,6 +12,7 @@
 #include <signal.h>
 
 #include "base/clock.h"
+#include "base/index.h"
 #include "base/log.h"
 #include "base/process.h"
 #include "kernel/probe.h"
@@ -231,6 +232,37 @@ std::string why_no_demand(const RunFlags& flags, const PolicyRun& run) {
   return {};
 }
 
+/// What each XNode on one of these XPUs needs, for a service that does not trust this run.
+Result<std::vector<launch::LeaseTask>> tasks_of(const runtime::Session& session,
+                                                const std::vector<launch::JoinXpu>& xpus) {
+  // Its threads are ordinary ones until they have a core: a START is heard so much later than it could be.
+  constexpr std::int64_t kHeardNs = 200'000;
+  XAUTO_ASSIGN(const auto needs,
+               solver::keys::sporadic_needs_of(session.app, session.platform, *session.keys));
+  std::vector<launch::LeaseTask> tasks;
+  for (const solver::keys::SporadicNeed& need : needs) {
+    const std::string& id = session.platform.xpus[at(need.xpu)].id;
+    const auto on =
+        std::ranges::find_if(xpus, [&](const launch::JoinXpu& xpu) { return xpu.id == id; });
+    if (on == xpus.end()) continue;
+    if (need.window_ns - kHeardNs < need.work_ns)
+      return fail(
+          ErrorCode::kInfeasible,
+          fmt::format(
+              "has {} us from when it is ready to its key, and needs {} us and 200 us to be heard",
+              need.window_ns / 1000, need.work_ns / 1000),
+          "XNode '" + session.app.xnodes[at(need.xnode)].name + "'",
+          "it is not trusted there: solve it with --reserve, which leaves room");
+    tasks.push_back({.xpu = static_cast<std::uint32_t>(on - xpus.begin()),
+                     .task = {.xnode = static_cast<std::uint32_t>(need.xnode),
+                              .period_ns = need.period_ns,
+                              .window_ns = need.window_ns - kHeardNs,
+                              .longest_ns = need.longest_ns,
+                              .budget_ns = need.work_ns}});
+  }
+  return tasks;
+}
+
 /// Joins the machine's coordinators where there are some and the policy says what it demands.
 Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& request) {
   runtime::Session& session = request.session;
@@ -242,6 +274,7 @@ Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& 
   if (flags.system == "off" || run.scheduling != runtime::Scheduling::kXAuto ||
       (!asked && !std::filesystem::exists(path, error)))
     return {};
+  session.cpu.regulated = launch::is_regulated(path);
   launch::decide_cpu_by_keys(session);
   launch::LeaseRequest joins{.path = path, .app = session.app.name, .xpus = {}, .demand = {}};
   joins.xpus = launch::shareable_xpus(session);
@@ -258,9 +291,13 @@ Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& 
     });
   });
   session.policy = assignment_of(*session.keys);
-  XAUTO_ASSIGN(const Demand demand,
-               solver::keys::demand_of(session.app, session.platform, *session.keys));
-  joins.demand = to_json(demand);
+  if (session.cpu.regulated) {
+    XAUTO_ASSIGN(joins.tasks, tasks_of(session, joins.xpus));
+  } else {
+    XAUTO_ASSIGN(const Demand demand,
+                 solver::keys::demand_of(session.app, session.platform, *session.keys));
+    joins.demand = to_json(demand);
+  }
   request.joins = std::move(joins);
   return {};
 }

@@ -141,6 +141,13 @@ struct ProtocolWorld {
   bool may_refuse = false;
   /// Module 0's management thread may lend its running job this key, once, whenever it likes.
   std::optional<Key> lends = {};
+  /// [module] its run is not trusted: it has a page of its own, its keys are those of `jobs` after its START, and it goes
+  /// on beside all others while it has not the XPU. Empty: none is so.
+  std::vector<bool> regulated = {};
+  int cuts = 0;    ///< so many of their jobs may have had the XPU for their budget, at any time
+  int forged = 0;  ///< so often they may write what they like, and go on as if nothing had been
+  bool lose_alarm = false;    ///< break it: nobody tells the coordinator that a budget is spent
+  bool lose_take = false;     ///< break it: whoever loses the XPU keeps it
   bool coarse = false;        ///< the coordinator does all it does at once
   bool lose_wakes = false;    ///< break it: whoever hands over does not wake
   bool blind_finish = false;  ///< break it: FINISH grants who waits for others
@@ -194,6 +201,8 @@ class ProtocolExplorer {
   struct Memory {
     Header header;
     SlotMemory slots[kSlots];
+    Header page_headers[kSlots];  ///< [module] of those that are not trusted, ...
+    SlotMemory pages[kSlots];     ///< ... and the one line there
     std::atomic<std::uint64_t> finished[kXNodes];
   };
 
@@ -224,6 +233,8 @@ class ProtocolExplorer {
     std::uint64_t wakes = 0;  ///< of kReturned
     bool lent = false;        ///< once
     std::uint32_t lends = 0;  ///< generation of the job to which it does
+    bool has_xpu = false;     ///< by the coordinator's hand
+    bool liar = false;        ///< it has written what it liked
     std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
     Record record;
     std::vector<Manager> managers;
@@ -248,8 +259,19 @@ class ProtocolExplorer {
           record(other.record) {
       std::memcpy(static_cast<void*>(memory.get()), other.memory.get(), sizeof(Memory));
       referee->move_to(shm());
+      for (std::size_t m = 0; m < kSlots; ++m)
+        referee->move_page(static_cast<int>(m), memory->pages);
     }
     Xpu(Xpu&&) = default;
+    /// As a module sees it.
+    Shm seen_by(std::size_t m, bool regulated) const {
+      Shm s = shm();
+      if (regulated) {
+        s.header = &memory->page_headers[m];
+        s.slots = memory->pages;
+      }
+      return s;
+    }
     Shm shm() const {
       Shm s;
       s.header = &memory->header;
@@ -269,15 +291,34 @@ class ProtocolExplorer {
   struct State {
     std::vector<Xpu> xpus;
     std::vector<Module> modules;
-    int deaths = 0, coordinator_deaths = 0;
+    int deaths = 0, coordinator_deaths = 0, cuts = 0, forged = 0;
   };
+
+  [[nodiscard]] bool regulated(std::size_t m) const {
+    return m < world_.regulated.size() && world_.regulated[m];
+  }
 
   State beginning() const {
     State initial;
     for (std::size_t x = 0; x < world_.xpus.size(); ++x) {
       initial.xpus.emplace_back(*this, x);
-      for (std::size_t m = 0; m < world_.modules.size(); ++m)
-        initial.xpus[x].referee->join(static_cast<int>(m));
+      Xpu& xpu = initial.xpus[x];
+      for (std::size_t m = 0; m < world_.modules.size(); ++m) {
+        if (!regulated(m)) {
+          xpu.referee->join(static_cast<int>(m));
+          continue;
+        }
+        xpu.memory->page_headers[m].owner.store(kFat);
+        xpu.memory->page_headers[m].waiting.store(1);
+        xpu.referee->join_regulated(static_cast<int>(m), xpu.memory->pages);
+        // No time passes here: the key of its first job is its window, of the next one a little later.
+        for (const ProtocolWorld::Task& t : world_.modules[m])
+          xpu.referee->regulate({.xnode = t.job.xnode,
+                                 .period_ns = 1,
+                                 .window_ns = t.job.key,
+                                 .longest_ns = 1'000'000,
+                                 .budget_ns = 1});
+      }
     }
     initial.modules.resize(world_.modules.size());
     for (std::size_t m = 0; m < initial.modules.size(); ++m)
@@ -338,7 +379,7 @@ class ProtocolExplorer {
     const auto& t = task(module, static_cast<int>(m));
     Xpu& xpu = s.xpus[static_cast<std::size_t>(t.xpu)];
     const std::uint32_t generation = module.generation[static_cast<std::size_t>(t.xpu)] + 1;
-    const Words<A> words(xpu.shm(), &rules_[static_cast<std::size_t>(t.xpu)]);
+    const Words<A> words(xpu.seen_by(m, regulated(m)), &rules_[static_cast<std::size_t>(t.xpu)]);
     Start start;
     Job job = t.job;
     job.since_ns = m;
@@ -383,9 +424,9 @@ class ProtocolExplorer {
   void step_ask(State& s, std::size_t m) {
     Module& module = s.modules[m];
     const int x = task(module, static_cast<int>(m)).xpu;
+    const Shm shm = s.xpus[static_cast<std::size_t>(x)].seen_by(m, regulated(m));
     const bool granted =
-        s.xpus[static_cast<std::size_t>(x)].memory->slots[m].coordinator.grant.load() ==
-        module.generation[static_cast<std::size_t>(x)];
+        shm.slots[m].coordinator.grant.load() == module.generation[static_cast<std::size_t>(x)];
     module.act = granted ? Act::kRun : Act::kAsleep;
   }
 
@@ -410,7 +451,7 @@ class ProtocolExplorer {
     Module& module = s.modules[m];
     const auto x = static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
     Xpu& xpu = s.xpus[x];
-    const Words<A> words(xpu.shm(), &rules_[x]);
+    const Words<A> words(xpu.seen_by(m, regulated(m)), &rules_[x]);
     Finished finished;
     bool signal = false;
     if (!advance(&module.record, [&] {
@@ -505,6 +546,8 @@ class ProtocolExplorer {
             }
           }
           A::store(header.waiting, 1u);
+          for (std::size_t m = 0; m < s.modules.size(); ++m)
+            if (regulated(m)) A::store(xpu.memory->page_headers[m].waiting, 1u);
           referee.look(wakes);
         }))
       return;
@@ -512,6 +555,9 @@ class ProtocolExplorer {
     xpu.doing = 0;
     xpu.leaving = -1;
     if (wakes.again && !world_.lose_again) xpu.doorbell = true;
+    for (const Hand& hand : wakes.hands)
+      if (const bool gives = hand.kind == Hand::Kind::kGive; gives || !world_.lose_take)
+        s.modules[static_cast<std::size_t>(hand.slot)].has_xpu = gives;
     for (const int slot : wakes.granted) wake(s, x, slot);
     for (const int slot : wakes.commanded) {
       Module& module = s.modules[static_cast<std::size_t>(slot)];
@@ -590,6 +636,18 @@ class ProtocolExplorer {
       Next next;
       for (std::size_t m = 0; m < s.modules.size(); ++m) {
         const Module& module = s.modules[m];
+        if (regulated(m)) {
+          // What it says of itself need not be true.
+          const Arbiter::Slot& slot = s.xpus[x].referee->arbiter().slot(static_cast<int>(m));
+          if (module.has_xpu && slot.phase == Phase::kNone)
+            fail("what is over, or cut, has the XPU");
+          if (module.has_xpu && s.xpus[x].referee->is_spent(static_cast<int>(m)))
+            fail("a job that has had the XPU for its budget has it");
+          if (slot.phase == Phase::kNone) continue;
+          running += module.has_xpu ? 1 : 0;
+          next.consider({slot.job.key, slot.job.since_ns, static_cast<int>(m)});
+          continue;
+        }
         if (module.act != Act::kRun && module.act != Act::kAsleep) continue;
         const auto& t = task(module, static_cast<int>(m));
         if (t.xpu != static_cast<int>(x)) continue;
@@ -614,7 +672,9 @@ class ProtocolExplorer {
         if (!full) fail("the most urgent job waits although there is a level for it");
       }
       if (s.xpus[x].discipline == Discipline::kPreemptive) {
-        if (first.act != Act::kRun || first.managers[x].suspended)
+        if (regulated(static_cast<std::size_t>(top))
+                ? !first.has_xpu
+                : first.act != Act::kRun || first.managers[x].suspended)
           fail("the most urgent job does not run");
         if (running > 1 && !world_.may_refuse) fail("two jobs run on a preemptive XPU");
       }
@@ -623,7 +683,7 @@ class ProtocolExplorer {
 
   void check_end(const State& s) {
     for (const Module& module : s.modules) {
-      if (module.act == Act::kDead) continue;
+      if (module.act == Act::kDead || module.liar) continue;
       if (module.act != Act::kDone) fail("a job is never run: nothing can happen any more");
       for (const Manager& manager : module.managers)
         if (manager.suspended) fail("a queue stays suspended");
@@ -680,7 +740,8 @@ class ProtocolExplorer {
 
   Hash key(const State& s) const {
     Hash h;
-    h.add(static_cast<std::uint64_t>(s.deaths * 16 + s.coordinator_deaths));
+    h.add(static_cast<std::uint64_t>((s.deaths * 16 + s.coordinator_deaths) * 256 + s.cuts * 16 +
+                                     s.forged));
     for (const Xpu& xpu : s.xpus) {
       const Memory& memory = *xpu.memory;
       h.add(memory.header.owner.load());
@@ -694,6 +755,10 @@ class ProtocolExplorer {
         h.add(slot.worker.victim.load() ^ slot.worker.victim_command.load());
         h.add(slot.coordinator.level.load());
         if (world_.lends) h.add(slot.worker.lent.load());
+        if (!regulated(i)) continue;
+        const SlotMemory& page = memory.pages[i];
+        h.add(std::uint64_t{page.worker.request.load()} << 32 | page.coordinator.grant.load());
+        h.add(memory.page_headers[i].waiting.load() + 2u * page.worker.xnode.load());
       }
       for (const auto& f : memory.finished) h.add(f.load());
       xpu.referee->describe([&](std::uint32_t part) { h.add(part); });
@@ -713,6 +778,7 @@ class ProtocolExplorer {
       h.add((static_cast<std::uint64_t>(module.act) * 64 + module.next) * 8 +
             static_cast<std::uint64_t>(module.victim + 1));
       h.add(module.wakes);
+      h.add((module.has_xpu ? 1u : 0u) | (module.liar ? 4u : 0u));
       if (world_.lends) h.add(std::uint64_t{module.lends} << 1 | (module.lent ? 1u : 0u));
       for (const std::uint32_t g : module.generation) h.add(g);
       h.add(module.record);
@@ -772,6 +838,40 @@ class ProtocolExplorer {
     choose(s);
   }
 
+  /// A budget ends, or it writes what it likes, and rings. Whether it has the XPU: then a budget will end.
+  bool choose_of_regulated(const State& s, std::size_t m) {
+    bool ends = false;
+    for (std::size_t x = 0; x < s.xpus.size(); ++x) {
+      const Referee<A>& referee = *s.xpus[x].referee;
+      if (const int slot = static_cast<int>(m); s.xpus[x].doing == 0 && referee.has_xpu(slot) &&
+                                                !referee.is_spent(slot) && s.cuts < world_.cuts) {
+        ends = true;
+        go(s, "budget of", m, x, [&](State& to) {
+          ++to.cuts;
+          to.xpus[x].referee->spend(static_cast<int>(m));
+          if (!world_.lose_alarm) to.xpus[x].doorbell = true;
+        });
+      }
+      if (s.forged >= world_.forged || s.modules[m].act == Act::kDead) continue;
+      const std::uint32_t generation = s.modules[m].generation[x];
+      for (const std::uint32_t word :
+           {request_word(Want::kIdle, generation), request_word(Want::kRun, generation),
+            request_word(Want::kRun, generation + 1), UINT32_MAX})
+        go(s, "forgery of", m, x, [&](State& to) {
+          ++to.forged;
+          to.modules[m].liar = true;
+          SlotMemory& page = to.xpus[x].memory->pages[m];
+          page.worker.request.store(word);
+          page.worker.key.store(INT64_MIN);
+          page.coordinator.grant.store(word);
+          page.coordinator.command.store(word);
+          to.xpus[x].memory->page_headers[m].owner.store(0);
+          to.xpus[x].doorbell = true;
+        });
+    }
+    return ends;
+  }
+
   /// What may happen next, and what must hold if nothing is under way.
   void choose(const State& s) {
     bool busy = false, possible = false;
@@ -800,6 +900,8 @@ class ProtocolExplorer {
                   at.memory->slots[&module - to.modules.data()].coordinator.command.load();
         });
     }
+    for (std::size_t m = 0; m < s.modules.size(); ++m)
+      if (regulated(m)) possible = choose_of_regulated(s, m) || possible;
     for (std::size_t m = 0; m < s.modules.size(); ++m) {
       const Module& module = s.modules[m];
       if (module.act == Act::kDead) continue;

@@ -394,6 +394,88 @@ TEST(Protocol, TwoJobsEveryAccessWhenKeysAreLent) {
   }
 }
 
+// Runs that are not trusted: module 0 is of one.
+
+ProtocolWorld::Task with_key(std::uint32_t xnode, Key key) {
+  return {0, {xnode, 0, key}};
+}
+
+/// `keys`: of the jobs of module 0, which come one after the other, and of one job of each other module.
+ProtocolWorld not_trusted(const std::vector<Key>& keys, std::size_t jobs = 1) {
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{}});
+  for (std::size_t i = 0; i < jobs; ++i) w.modules[0].push_back(with_key(0, keys[0]));
+  for (std::uint32_t m = 1; m < keys.size(); ++m) w.modules.push_back({with_key(m, keys[m])});
+  w.regulated = {true};
+  return w;
+}
+
+TEST(Protocol, WhoIsNotTrustedIsOffItsXpuWhenItsBudgetIsSpent) {
+  for (const Key other : {10, 90}) {
+    ProtocolWorld w = not_trusted({50, other}, 2);
+    w.cuts = 2;
+    w.coarse = !long_ones();
+    w.deaths = kSmallOnly ? 0 : 1;
+    expect_clean(w, 500);
+  }
+}
+
+/// Two that are trusted, one of them more urgent: it may come while the other one takes, gives back, or waits.
+TEST(Protocol, WhoIsNotTrustedBetweenTwoThatAre) {
+  for (const std::vector<Key>& keys : {std::vector<Key>{50, 10, 90}, {10, 50, 90}, {90, 10, 50}}) {
+    ProtocolWorld w = not_trusted(keys);
+    w.cuts = 1;
+    w.coarse = true;
+    w.limit = 20'000'000;
+    if (long_ones()) {
+      expect_clean(w, 10'000);
+      continue;
+    }
+    const ProtocolResult result = ProtocolExplorer(w).walk(kSmallOnly ? 200 : 2'000, 1);
+    EXPECT_EQ(result.violation, "");
+  }
+}
+
+TEST(Protocol, TwoThatAreNotTrusted) {
+  ProtocolWorld w = not_trusted({50, 40, 45});
+  w.regulated = {true, true, false};
+  w.cuts = 2;
+  w.coarse = true;
+  w.limit = 20'000'000;
+  expect_clean(w, 1'000);
+}
+
+/// It writes into its page what it likes, whenever it likes, and may have the XPU for its budget: the job of who is
+/// trusted is run to its end.
+TEST(Protocol, WhateverIsWrittenIntoAPageOthersGoOn) {
+  for (const Key other : {10, 90}) {
+    ProtocolWorld w = not_trusted({50, other}, long_ones() ? 2 : 1);
+    w.forged = long_ones() ? 2 : 1;
+    w.cuts = 8;
+    w.coarse = true;
+    w.deaths = long_ones() ? 1 : 0;
+    w.limit = 20'000'000;
+    expect_clean(w, 1'000);
+  }
+}
+
+TEST(Protocol, TheExplorerFindsABudgetThatNobodyLooksAt) {
+  ProtocolWorld w = not_trusted({50, 90});
+  w.cuts = 1;
+  w.coarse = true;
+  w.lose_alarm = true;
+  EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+}
+
+TEST(Protocol, TheExplorerFindsACoreThatIsNotTaken) {
+  for (const Key other : {10, 90}) {
+    ProtocolWorld w = not_trusted({50, other});
+    w.cuts = other == 90 ? 1 : 0;
+    w.coarse = true;
+    w.lose_take = true;
+    EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+  }
+}
+
 /// The coordinator gives up after one round, where something was missed; then it has to look again.
 ProtocolWorld impatient(Discipline d) {
   ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
