@@ -27,7 +27,10 @@ namespace xauto::solver::keys {
 struct PlayOptions {
   std::int64_t seconds = 10;
   bool random_times = false;  ///< up to the WCET; otherwise each job takes it
-  bool jitter = false;        ///< random, up to each source's; otherwise none
+  /// [xnode] execution times of its activations in us, from the first on again after the last, at most the WCET. Empty, or
+  /// of an XNode empty: as above.
+  std::vector<std::vector<std::int64_t>> times_us = {};
+  bool jitter = false;  ///< random, up to each source's; otherwise none
   bool phases =
       false;  ///< between clocks random, and they drift as far as they may; otherwise none
   std::uint64_t seed = 1;
