@@ -13,6 +13,8 @@ constexpr double kNsPerS = 1e9;
 constexpr double kMostDrift = 500e-6;            ///< of a clock that is slewed
 constexpr std::int64_t kLeastDriftNs = 100'000;  ///< less is the machine's, not the clock's
 constexpr std::size_t kLeastForDrift = 20;
+constexpr double kRounded = 0.01;  ///< a rate as near to a whole one is that
+constexpr double kMissed = 1.7;    ///< of the usual distance: a message did not come
 /// By so much the instant that a timer was made may be told too late.
 constexpr std::int64_t kToldLateNs = 50'000;
 
@@ -32,6 +34,27 @@ double drift_of(const std::vector<std::int64_t>& starts, const Grid& grid, std::
   const double drift =
       static_cast<double>(late - early) / static_cast<double>((at_late - at_early) * period);
   return std::abs(drift) < kMostDrift ? drift : 0;
+}
+
+/// Instants on a grid that begins so that none is early.
+struct Fit {
+  double period = 0, begin = 0, latest = 0;  ///< ns; begin: since the first instant
+  std::vector<std::int64_t> release;
+};
+
+Fit fit_of(const std::vector<std::int64_t>& instants, double period) {
+  Fit fit{period, 0, 0, {}};
+  std::int64_t last = -1;
+  for (const std::int64_t instant : instants) {
+    const auto since = static_cast<double>(instant - instants.front());
+    last = std::max(last + 1, static_cast<std::int64_t>(std::llround(since / period)));
+    fit.release.push_back(last);
+    const double off = since - static_cast<double>(last) * period;
+    fit.begin = std::min(fit.begin, off);
+    fit.latest = std::max(fit.latest, off);
+  }
+  fit.latest -= fit.begin;
+  return fit;
 }
 
 }  // namespace
@@ -73,24 +96,26 @@ std::optional<Grid> seen_grid(const std::vector<std::int64_t>& instants_ns) {
     apart.push_back(instants_ns[i] - instants_ns[i - 1]);
   std::ranges::nth_element(apart, apart.begin() + static_cast<std::ptrdiff_t>(apart.size() / 2));
   const auto usual = static_cast<double>(apart[apart.size() / 2]);
-  const auto whole = static_cast<double>(instants_ns.back() - instants_ns.front());
   if (usual < 1000 || usual > static_cast<double>(kMaxPeriodUs) * 1000) return std::nullopt;
-  const double period = whole / std::max(1.0, std::round(whole / usual));
-  Grid grid;
-  grid.period = meant_period(period, 0.01, 100);
-  std::int64_t last = -1;
-  double earliest = 0;
-  for (const std::int64_t instant : instants_ns) {
-    const auto since = static_cast<double>(instant - instants_ns.front());
-    last = std::max(last + 1, static_cast<std::int64_t>(std::llround(since / period)));
-    grid.release.push_back(last);
-    earliest = std::min(earliest, since - static_cast<double>(last) * period);
+  double count = 0;  // of periods, with those of which no message came
+  for (const std::int64_t one : apart) {
+    const double times = static_cast<double>(one) / usual;
+    count += times > kMissed ? std::round(times) : 1;
   }
-  if (static_cast<std::size_t>(last) >= kMaxReleases) return std::nullopt;
-  for (std::int64_t k = 0; k <= last; ++k)
+  const double seen = static_cast<double>(instants_ns.back() - instants_ns.front()) / count;
+  const Period period = meant_period(seen, kRounded, 100);
+  // What was meant, unless its clock runs otherwise.
+  const double meant = static_cast<double>(period.num) * 1000 / static_cast<double>(period.den);
+  Fit fit = fit_of(instants_ns, meant);
+  if (Fit other = fit_of(instants_ns, seen); other.latest < fit.latest) fit = std::move(other);
+  if (static_cast<std::size_t>(fit.release.back()) >= kMaxReleases) return std::nullopt;
+  Grid grid;
+  grid.period = period;
+  for (std::int64_t k = 0; k <= fit.release.back(); ++k)
     grid.nominal_ns.push_back(
         instants_ns.front() +
-        static_cast<std::int64_t>(earliest + static_cast<double>(k) * period));
+        static_cast<std::int64_t>(fit.begin + static_cast<double>(k) * fit.period));
+  grid.release = std::move(fit.release);
   return grid;
 }
 

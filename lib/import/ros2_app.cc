@@ -29,12 +29,12 @@ constexpr std::int64_t kLeastEvidence = 3;
 const std::set<std::string> kOfTheSystem = {"/parameter_events", "/rosout"};
 
 std::string bare(const std::string& name) {
-  std::string plain = name.substr(std::min(name.find_first_not_of('/'), name.size()));
-  if (!fault_of_name(plain).empty()) plain = "unnamed";
-  return plain.substr(0, kMostNameBytes);
+  const std::string plain =
+      name.substr(std::min(name.find_first_not_of('/'), name.size())).substr(0, kMostNameBytes);
+  return plain.empty() || !fault_of_name(plain).empty() ? "unnamed" : plain;
 }
 
-std::int64_t us_of(std::int64_t ns) {
+std::int64_t up_to_us(std::int64_t ns) {
   return (ns + 999) / 1000;
 }
 
@@ -87,8 +87,7 @@ class Importer {
     return trace_.callbacks[at(callback_of_[at(xnode)])];
   }
   void todo(std::string at, std::string what) {
-    if (out_.todo.size() < kMaxTodo)
-      out_.todo.push_back({std::move(at), what.substr(0, kMaxNameBytes)});
+    if (out_.todo.size() < kMaxTodo) out_.todo.push_back({std::move(at), todo_text(what)});
   }
 
   // ---- XNodes -------------------------------------------------------------------------------------
@@ -477,7 +476,7 @@ class Importer {
     out_.seen.xnodes.resize(app().xnodes.size());
     for (int x = 0; x < static_cast<int>(app().xnodes.size()); ++x)
       put_times(x, delays[at(x)], leads[at(x)]);
-    out_.seen.duration_us = std::max<std::int64_t>(1, us_of(trace_.end_ns - trace_.begin_ns));
+    out_.seen.duration_us = std::max<std::int64_t>(1, up_to_us(trace_.end_ns - trace_.begin_ns));
     out_.seen.cores = std::clamp(trace_.cpus, 1, kMaxSeenThreads);
     place_sources();
   }
@@ -493,7 +492,7 @@ class Importer {
     std::vector<std::int64_t> times;
     for (const std::size_t c : calls_[at(x)])
       times.push_back(
-          std::max<std::int64_t>(1, us_of(trace_.calls[c].end_ns - trace_.calls[c].start_ns)));
+          std::max<std::int64_t>(1, up_to_us(trace_.calls[c].end_ns - trace_.calls[c].start_ns)));
     XNodeSpec& xnode = app().xnodes[at(x)];
     const std::int64_t longest = *std::ranges::max_element(times);
     xnode.wcet_us["cpu"] = std::min(kMaxTimeUs, longest + longest * options_.margin_pct / 100);
@@ -504,7 +503,7 @@ class Importer {
     seen.delay_us = median_of(delays) / 1000;
     seen.lead_us = std::min(median_of(leads) / 1000, seen.times_us.empty() ? 0 : longest);
     seen.depth = std::clamp<std::int64_t>(callback(x).depth, 1, kMaxInFlight);
-    longest_delay_.push_back(delays.empty() ? 0 : us_of(*std::ranges::max_element(delays)));
+    longest_delay_.push_back(delays.empty() ? 0 : up_to_us(*std::ranges::max_element(delays)));
   }
 
   /// Offsets, from the first timer on, and jitters: of a timer how late it was called where nothing was in its way.
@@ -528,7 +527,7 @@ class Importer {
         if (k < grids_[at(s)].size())
           latest = std::max(latest, arrival_of(trace_.calls[calls_[at(x)][n]]) - grids_[at(s)][k]);
       }
-      source.jitter_us = std::min(us_of(latest), kMaxPeriodUs);
+      source.jitter_us = std::min(up_to_us(latest), kMaxPeriodUs);
     }
   }
 
@@ -578,11 +577,12 @@ class Importer {
     auto times = reaction_times(app(), jobs, grids_);
     for (std::size_t k = 0; k < times.size(); ++k) {
       if (times[k].empty()) continue;
+      for (std::int64_t& ns : times[k]) ns = std::max<std::int64_t>(0, ns);  // a damaged trace
       std::ranges::sort(times[k]);
       out_.seen.chains.push_back({static_cast<int>(k), static_cast<std::int64_t>(times[k].size()),
-                                  us_of(quantile_of_sorted(times[k], 0.5)),
-                                  us_of(quantile_of_sorted(times[k], 0.99)),
-                                  us_of(times[k].back())});
+                                  up_to_us(quantile_of_sorted(times[k], 0.5)),
+                                  up_to_us(quantile_of_sorted(times[k], 0.99)),
+                                  up_to_us(times[k].back())});
     }
   }
 

@@ -72,6 +72,9 @@ struct Todo {
   bool operator==(const Todo&) const = default;
 };
 
+/// As Todo::what: cut where it is too long, and without what no name may have.
+[[nodiscard]] std::string todo_text(const std::string& text);
+
 struct ImportedApp {
   AppSpec app;
   std::vector<std::vector<std::string>> groups;  ///< app.json's "groups"

@@ -132,6 +132,19 @@ const char* name_of(ExecutorKind kind) {
   return "";
 }
 
+std::string todo_text(const std::string& text) {
+  std::string cut = text.substr(0, kMaxNameBytes);
+  if (fault_of_name(cut).empty()) return cut;
+  std::string whole = cut;  // a character may have been cut
+  for (int less = 0; text.size() > kMaxNameBytes && less < 3; ++less) {
+    whole.pop_back();
+    if (fault_of_name(whole).empty()) return whole;
+  }
+  for (char& c : cut)
+    if (c < 0x20 || c == 0x7f) c = '?';  // all that is no ASCII, too
+  return cut;
+}
+
 Result<ImportedApp> parse_imported(std::string_view text, std::string_view origin) {
   ImportedApp imported;
   XAUTO_ASSIGN(imported.app, parse_app(text, origin));

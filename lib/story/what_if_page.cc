@@ -50,8 +50,9 @@ std::string chain_section(const WhatIfChain& chain) {
   for (const WhatIfRow& row : chain.rows) {
     html += fmt::format("<p class='run'><b>{}</b> ", html_safe(row.name));
     if (row.count > 0)
-      html += fmt::format("p50 {}, p99 {}, max {} ms of {} releases", page_ms(row.median_us),
-                          page_ms(row.p99_us), page_ms(row.longest_us), row.count);
+      html += fmt::format("p50 {}{}, max {} ms of {} releases", page_ms(row.median_us),
+                          row.p99_us < 0 ? "" : ", p99 " + page_ms(row.p99_us),
+                          page_ms(row.longest_us), row.count);
     if (row.claim_us) html += fmt::format(", claimed {} ms", page_ms(*row.claim_us));
     html += "</p>" + strip(row, chain, whole_us);
   }

@@ -14,7 +14,9 @@ namespace xauto::story {
 struct WhatIfRow {
   std::string name;        ///< "with XAuto's keys"
   std::int64_t count = 0;  ///< releases
-  std::int64_t median_us = 0, p99_us = 0, longest_us = 0;
+  std::int64_t median_us = 0;
+  std::int64_t p99_us = -1;  ///< -1: there are too few
+  std::int64_t longest_us = 0;
   std::optional<std::int64_t> claim_us = {};
 };
 

@@ -27,10 +27,7 @@ namespace xauto::solver::keys {
 struct PlayOptions {
   std::int64_t seconds = 10;
   bool random_times = false;  ///< up to the WCET; otherwise each job takes it
-  /// [xnode] execution times of its activations in us, from the first on again after the last, at most the WCET. Empty, or
-  /// of an XNode empty: as above.
-  std::vector<std::vector<std::int64_t>> times_us = {};
-  bool jitter = false;  ///< random, up to each source's; otherwise none
+  bool jitter = false;        ///< random, up to each source's; otherwise none
   bool phases =
       false;  ///< between clocks random, and they drift as far as they may; otherwise none
   std::uint64_t seed = 1;
@@ -41,6 +38,9 @@ struct PlayOptions {
   /// [xnode] of whose app, where it is several (model/together.h): on an XPU that two of them have, and where preemption
   /// costs, nobody starts early. Empty: of one.
   std::vector<int> app_of = {};
+  /// [xnode] execution times of its activations in us, from the first on again after the last, at most the WCET. Empty, or
+  /// of an XNode empty: as `random_times` says.
+  std::vector<std::vector<std::int64_t>> times_us = {};
 };
 
 struct PlayedXNode {

@@ -4,6 +4,7 @@
 #include "import/ctf.h"
 
 #include <algorithm>
+#include <cstdlib>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -18,6 +19,8 @@ namespace fs = std::filesystem;
 
 constexpr int kMaxDepth = 12;
 constexpr std::size_t kMaxField = 4096;  ///< bytes of a text
+constexpr std::uintmax_t kPage = 4096, kMaxMended = 1u << 30;
+constexpr std::size_t kMostCuts = 1024;  ///< pages that a broken packet may have
 
 template <auto put>
 struct Put {
@@ -206,11 +209,82 @@ class Reading {
   }
 
   void read(const std::string& folder) {
+    if (opens(folder).empty())
+      read_streams(folder);
+    else
+      salvage(folder);
+  }
+
+ private:
+  void read_streams(const std::string& folder) {
     for (std::uint64_t stream = 0; stream < kMaxStreams && !full_; ++stream)
       if (!read_stream(folder, stream)) return;
   }
 
- private:
+  /// Why the trace cannot be opened; empty: it can.
+  std::string opens(const std::string& folder) {
+    const Graph graph(bt_graph_create(0));
+    const bt_component_source* source = nullptr;
+    return graph && add_source(graph.get(), folder, &source) ? std::string() : cause();
+  }
+
+  /// The library opens no trace of which a stream ends amid a packet, as streams do whose machine went down. So each
+  /// stream is copied, and cut to the most whole pages with which it opens: a packet is pages of LTTng's.
+  void salvage(const std::string& folder) {
+    char name[] = "/tmp/xauto-import-XXXXXX";
+    if (mkdtemp(name) == nullptr) return broken(folder, "no folder in /tmp to mend it in");
+    const fs::path mended(name);
+    std::error_code error;
+    fs::copy_file(fs::path(folder) / "metadata", mended / "metadata", error);
+    std::vector<fs::path> streams;
+    for (const auto& entry : fs::directory_iterator(folder, error))
+      if (entry.is_regular_file(error) && entry.path().filename() != "metadata")
+        streams.push_back(entry.path());
+    std::ranges::sort(streams);
+    if (streams.size() > kMaxStreams) streams.resize(kMaxStreams);
+    for (const fs::path& stream : streams) {
+      const fs::path copy = mended / stream.filename();
+      if (fs::file_size(stream, error) > kMaxMended) {
+        broken(stream.filename().string(), "damaged, and larger than 1 GiB: left out");
+        continue;
+      }
+      fs::copy_file(stream, copy, error);
+      if (!error) mend(mended.string(), copy);
+      fs::remove(copy, error);
+    }
+    fs::remove_all(mended, error);
+  }
+
+  /// Reads what of this stream, the only one in the folder, opens.
+  void mend(const std::string& folder, const fs::path& stream) {
+    std::error_code error;
+    std::uintmax_t size = fs::file_size(stream, error);
+    std::string why = opens(folder);
+    const std::string first = why;
+    for (std::size_t tries = 0; !why.empty() && size > 0 && tries < kMostCuts; ++tries) {
+      size = size % kPage != 0 ? size - size % kPage : size - kPage;
+      fs::resize_file(stream, size, error);
+      if (size > 0) why = opens(folder);
+    }
+    if (!first.empty())
+      broken(stream.filename().string(),
+             first + "; read are its first " + std::to_string(why.empty() ? size : 0) + " bytes");
+    if (why.empty()) read_streams(folder);
+  }
+
+  bool add_source(bt_graph* graph, const std::string& folder, const bt_component_source** source) {
+    const Value parameters(bt_value_map_create());
+    bt_value* inputs = nullptr;
+    return parameters &&
+           bt_value_map_insert_empty_array_entry(parameters.get(), "inputs", &inputs) ==
+               BT_VALUE_MAP_INSERT_ENTRY_STATUS_OK &&
+           bt_value_array_append_string_element(inputs, folder.c_str()) ==
+               BT_VALUE_ARRAY_APPEND_ELEMENT_STATUS_OK &&
+           bt_graph_add_source_component(graph, source_, "trace", parameters.get(),
+                                         BT_LOGGING_LEVEL_NONE,
+                                         source) == BT_GRAPH_ADD_COMPONENT_STATUS_OK;
+  }
+
   void broken(const std::string& folder, const std::string& why) {
     if (trace_.broken.size() < kMaxBroken) trace_.broken.push_back(folder + ": " + why);
   }
@@ -219,21 +293,9 @@ class Reading {
   bool read_stream(const std::string& folder, std::uint64_t stream) {
     Sink sink{&collector_, nullptr};  // before the graph, which ends first
     const Graph graph(bt_graph_create(0));
-    const Value parameters(bt_value_map_create());
-    bt_value* inputs = nullptr;
-    if (!graph || !parameters ||
-        bt_value_map_insert_empty_array_entry(parameters.get(), "inputs", &inputs) !=
-            BT_VALUE_MAP_INSERT_ENTRY_STATUS_OK ||
-        bt_value_array_append_string_element(inputs, folder.c_str()) !=
-            BT_VALUE_ARRAY_APPEND_ELEMENT_STATUS_OK) {
-      broken(folder, cause());
-      return false;
-    }
     const bt_component_source* source = nullptr;
     const bt_component_sink* to = nullptr;
-    if (bt_graph_add_source_component(graph.get(), source_, "trace", parameters.get(),
-                                      BT_LOGGING_LEVEL_NONE,
-                                      &source) != BT_GRAPH_ADD_COMPONENT_STATUS_OK ||
+    if (!graph || !add_source(graph.get(), folder, &source) ||
         bt_graph_add_simple_sink_component(graph.get(), "events", begin, consume, finish, &sink,
                                            &to) != BT_GRAPH_ADD_COMPONENT_STATUS_OK) {
       broken(folder, cause());
