@@ -86,7 +86,7 @@ class Importer {
   [[nodiscard]] const RosCallback& callback(int xnode) const {
     return trace_.callbacks[at(callback_of_[at(xnode)])];
   }
-  void todo(std::string at, std::string what) {
+  void todo(std::string at, const std::string& what) {
     if (out_.todo.size() < kMaxTodo) out_.todo.push_back({std::move(at), todo_text(what)});
   }
 

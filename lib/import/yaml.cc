@@ -5,8 +5,8 @@ namespace xauto::import {
 
 const Yaml& Yaml::operator[](std::string_view key) const {
   static const Yaml none;
-  for (const auto& [name, value] : map)
-    if (name == key) return value;
+  for (std::size_t k = 0; k < keys.size(); ++k)
+    if (keys[k] == key) return values[k];
   return none;
 }
 

@@ -4,7 +4,6 @@
 
 #include <string>
 #include <string_view>
-#include <utility>
 #include <vector>
 
 #include <xauto/result.h>
@@ -15,7 +14,8 @@ namespace xauto::import {
 struct Yaml {
   std::string text;
   std::vector<Yaml> list;
-  std::vector<std::pair<std::string, Yaml>> map;
+  std::vector<std::string> keys;  ///< of a map, as many as values
+  std::vector<Yaml> values;
 
   [[nodiscard]] const Yaml& operator[](std::string_view key) const;
 };

@@ -2,7 +2,6 @@
 // xauto whatif: what an imported app does now, and what it would do under XAuto; each as it would play, with the times
 // that were seen.
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <iostream>
 #include <memory>
@@ -11,6 +10,7 @@
 
 #include "base/columns.h"
 #include "base/index.h"
+#include "base/number.h"
 #include "base/quantile.h"
 #include "model/claims.h"
 #include "model/imported.h"
@@ -91,10 +91,7 @@ Result<OtherWay> with_implementation(OtherWay way, const std::string& text) {
   if (x < 0) return fail(ErrorCode::kNotFound, "no such XNode: '" + said.first + "'", option);
   const std::string type = said.second.substr(0, colon);
   double times = 0;
-  if (colon != std::string::npos) {
-    const std::string number = said.second.substr(colon + 1);
-    std::from_chars(number.data(), number.data() + number.size(), times);
-  }
+  if (colon != std::string::npos) times = real_of(said.second.substr(colon + 1)).value_or(0);
   if (type.empty() || !(times > 0) || times > kMostTimes)
     return fail(ErrorCode::kInvalid, "is not XNODE=TYPE:TIMES", option,
                 "as in --on detector=dla:1.8, above 0 and at most 1000 times");

@@ -82,7 +82,8 @@ class Parser {
       XAUTO_TRY(node(key, depth + 1));
       if (!text) return refuse("a key that is no text");
       XAUTO_TRY(next());
-      XAUTO_TRY(node(into.map.emplace_back(std::move(key.text), Yaml()).second, depth + 1));
+      into.keys.push_back(std::move(key.text));
+      XAUTO_TRY(node(into.values.emplace_back(), depth + 1));
     }
   }
 

@@ -13,6 +13,9 @@
 
 #include "import/ros2_app.h"
 
+extern "C" void __lsan_disable() __attribute__((weak));
+extern "C" void __lsan_enable() __attribute__((weak));
+
 namespace xauto::import {
 namespace {
 
@@ -343,7 +346,10 @@ TEST(Ros2Trace, DamagedTracesAreErrorsOrNotes) {
       bytes[(dice >> 20) % bytes.size()] = static_cast<char>(dice >> 56);
     }
     std::ofstream(copy.folder / name, std::ios::binary) << bytes;
+    // libbabeltrace2 2.0.4 loses what it has parsed of metadata that is broken.
+    if (__lsan_disable != nullptr) __lsan_disable();
     const auto trace = read_ros2_trace(copy.folder.string());
+    if (__lsan_enable != nullptr) __lsan_enable();
     if (!trace) {
       EXPECT_FALSE(trace.error().what.empty());
       continue;
