@@ -69,6 +69,11 @@ class Import(unittest.TestCase):
                                     "--more", "dla"))
         self.assertEqual(len(told["chains"][0]["ways"]), 5)
         self.assertTrue(any(b["what"].startswith("dla") for b in told["busy"]))
+        # One of a group has a DLA, the other one not; and on a platform whose cores preempt.
+        told = json.loads(self.good("whatif", "app.json", "--json", "--time-limit", "1s", "--platform", "large", "--on",
+                                    "message_driven_node.drive=dla:0.5"))
+        self.assertIn("none of it goes to dla before all can", " ".join(told["verdict"]))
+        self.assertIn("may run one of it inside another", " ".join(told["verdict"]))
 
     def test_what_does_not_fit_is_refused_in_a_line(self):
         self.good("import", MADE, "--out", "app.json")

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iostream>
+#include <map>
 #include <memory>
 
 #include <fmt/format.h>
@@ -109,6 +110,30 @@ Result<OtherWay> with_implementation(OtherWay way, const std::string& text) {
   return way;
 }
 
+/// What keeps this way's groups from being what they are in ROS 2, or from where it lets them run. Empty: nothing.
+std::string words_of_groups(const ImportedApp& imported, const OtherWay& way,
+                            const Policy& policy) {
+  std::string text;
+  for (const std::vector<std::string>& group : imported.groups) {
+    std::map<std::string, std::size_t> types;
+    for (const std::string& name : group)
+      if (const int x = way.app.find(name); x >= 0)
+        for (const auto& [type, us] : way.app.xnodes[at(x)].wcet_us) ++types[type];
+    for (const auto& [type, count] : types)
+      if (count < group.size())
+        text +=
+            fmt::format(" The group of {} shares one XPU, so none of it goes to {} before all can.",
+                        group.front(), type);
+    const int first = way.app.find(group.front());
+    if (first >= 0 && way.platform.xpus[at(policy.placements[at(first)].xpu)].preemptive)
+      text += fmt::format(
+          " The group of {} is on an XPU that may run one of it inside another: guard "
+          "what they share.",
+          group.front());
+  }
+  return text;
+}
+
 /// What the trace showed, as times on the XPU that the policy gives the XNode.
 std::vector<std::vector<std::int64_t>> times_there(const ImportedApp& imported, const OtherWay& way,
                                                    const Policy& policy) {
@@ -192,6 +217,8 @@ class Asking {
           ".");
       return false;
     }
+    if (const std::string words = words_of_groups(imported_, way, answer.policy); !words.empty())
+      page_.verdict.push_back(way.name + ":" + words);
     if (policy_text != nullptr) *policy_text = to_json(answer.policy, way.app, way.platform);
     keys::PlayOptions play;
     play.seconds = std::max<std::int64_t>(1, (imported_.seen.duration_us + 999'999) / 1'000'000);
