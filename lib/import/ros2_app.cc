@@ -23,6 +23,8 @@ using CallbackKind = RosCallback::Kind;
 
 constexpr std::size_t kMostAsked = 8, kMostXpusAsked = 3;  ///< questions of one kind
 constexpr std::size_t kMostNameBytes = 120;
+constexpr std::size_t kMostPaths = 1000;       ///< of an architecture
+constexpr std::size_t kMostAskedPairs = 2000;  ///< XNodes whose pairs are looked at for questions
 constexpr double kOnePerCall = 0.1;  ///< so many messages more or less are no other number
 constexpr std::int64_t kLeastEvidence = 3;
 /// What rclcpp itself subscribes to, and logging.
@@ -534,7 +536,11 @@ class Importer {
   // ---- chains -------------------------------------------------------------------------------------
 
   void find_chains() {
-    for (const ArchitecturePath& path : architecture_.paths) {
+    if (architecture_.paths.size() > kMostPaths)
+      todo("", "the architecture names more than " + std::to_string(kMostPaths) +
+                   " paths: only the first are chains");
+    for (std::size_t p = 0; p < std::min(architecture_.paths.size(), kMostPaths); ++p) {
+      const ArchitecturePath& path = architecture_.paths[p];
       if (path.steps.empty()) continue;
       const auto &first = path.steps.front(), &last = path.steps.back();
       int from = subscriber(first.node, first.from_topic);
@@ -624,6 +630,7 @@ class Importer {
 
   /// Of a node in which one callback publishes, and another one does not: whether the first uses what the second left.
   void ask_for_samples() {
+    if (app().xnodes.size() > kMostAskedPairs) return;
     std::set<int> publish;
     for (const RosPublication& p : trace_.publications)
       if (p.call >= 0)

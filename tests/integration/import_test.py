@@ -64,6 +64,13 @@ class Import(unittest.TestCase):
         page = (self.at / "page.html").read_text()
         for part in ("is within 10 % of the trace", "as it runs now, played", "<svg", "What app.json does not know"):
             self.assertIn(part, page)
+        # It agrees by its rules, and not by its times: another executor does not.
+        other = json.loads((self.at / "app.json").read_text())
+        other["seen"]["executors"][0].update(type="single_threaded", threads=1)
+        (self.at / "other.json").write_text(json.dumps(other))
+        told = json.loads(self.good("whatif", "other.json", "--json", "--time-limit", "1s"))
+        self.assertGreater(told["chains"][0]["ways"][1]["p50_us"], 2 * trace["p50_us"])
+        self.assertIn("is NOT within 10 % of the trace", told["verdict"][0])
         # A way more where the filter has a DLA, and one with two of them.
         told = json.loads(self.good("whatif", "app.json", "--json", "--time-limit", "1s", "--on", "filter_node.topic1=dla:0.5",
                                     "--more", "dla"))
