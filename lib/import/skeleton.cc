@@ -28,12 +28,11 @@ constexpr const char* kBegin =
     R"(// Made by `xauto import --cpp`; it is yours now. Fill in what says TODO.
 //
 //   cmake -B build && cmake --build build
-//   xauto solve --app app.json --platform small --out policy.json
+//   xauto solve --app app.json --platform large --out policy.json
 //   xauto run --app app.json --policy policy.json -- build/{0}
 //
 // Until then each XNode keeps an emulated XPU busy for as long as times.h says.
-{1}#include <algorithm>
-#include <chrono>
+{1}#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <memory>

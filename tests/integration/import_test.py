@@ -55,7 +55,7 @@ class Import(unittest.TestCase):
     @unittest.skipUnless(CARET.exists(), "no ../shared/data")
     def test_carets_demo_is_played_as_it_ran_and_gains(self):
         self.good("import", CARET, "--architecture", DATA / "ros2-trace/caret-demo-architecture.yaml", "--out", "app.json")
-        told = json.loads(self.good("whatif", "app.json", "--json", "--out", "page.html", "--policy", "policy.json"))
+        told = json.loads(self.good("whatif", "app.json", "--json", "--out", "page.html"))
         trace, now, keys = told["chains"][0]["ways"]
         for key in ("p50_us", "max_us"):
             self.assertLess(abs(now[key] - trace[key]), trace[key] / 10, key)

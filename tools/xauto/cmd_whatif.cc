@@ -38,7 +38,7 @@ constexpr const char* kTrace = "in the trace";
 constexpr const char* kNow = "as it runs now, played";
 
 struct WhatIfFlags {
-  std::string app, platform, out, policy;
+  std::string app, platform, out;
   std::vector<std::string> more, on;
   double time_limit_s = 5;
   int cores = 0;
@@ -200,8 +200,7 @@ class Asking {
   }
 
   /// False: nothing was certified.
-  Result<bool> plan(const OtherWay& way, const solver::Objectives& wishes,
-                    std::string* policy_text) {
+  Result<bool> plan(const OtherWay& way, const solver::Objectives& wishes) {
     keys::Options options;
     options.aim = keys::usual_aim(way.app);
     options.time_limit_s = flags_.time_limit_s;
@@ -219,7 +218,6 @@ class Asking {
     }
     if (const std::string words = words_of_groups(imported_, way, answer.policy); !words.empty())
       page_.verdict.push_back(way.name + ":" + words);
-    if (policy_text != nullptr) *policy_text = to_json(answer.policy, way.app, way.platform);
     keys::PlayOptions play;
     play.seconds = std::max<std::int64_t>(1, (imported_.seen.duration_us + 999'999) / 1'000'000);
     if (imported_.seen.from.empty()) play.seconds = 10;
@@ -406,17 +404,14 @@ Result<std::vector<OtherWay>> ways_of(const ImportedApp& imported, const WhatIfF
 Result<int> what_if(const WhatIfFlags& flags, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
-  XAUTO_TRY(outputs.expect("--policy", flags.policy));
   XAUTO_ASSIGN(const ImportedApp imported, load_imported(flags.app));
   XAUTO_ASSIGN(const solver::Objectives wishes, load_objectives(flags.app));
   XAUTO_ASSIGN(const std::vector<OtherWay> ways, ways_of(imported, flags));
   Asking asking(imported, flags);
   if (!imported.seen.executors.empty()) asking.now();
   bool good = true;
-  std::string policy;
   for (const OtherWay& way : ways) {
-    XAUTO_ASSIGN(const bool planned,
-                 asking.plan(way, wishes, &way == &ways.front() ? &policy : nullptr));
+    XAUTO_ASSIGN(const bool planned, asking.plan(way, wishes));
     good = good && planned;
   }
   const story::WhatIfPage& page = asking.finish();
@@ -425,7 +420,6 @@ Result<int> what_if(const WhatIfFlags& flags, const Options& options) {
   else
     print(page);
   if (!flags.out.empty()) outputs.write(flags.out, story::what_if_html(page));
-  if (!flags.policy.empty() && !policy.empty()) outputs.write(flags.policy, policy);
   return outputs.status(good ? kDone : kAnswerIsNo);
 }
 
@@ -452,7 +446,6 @@ void add_whatif(Commands& commands) {
   verb.duration("--time-limit", flags->time_limit_s, Unit::kSeconds, 0, kYearS,
                 "for the plan of each way");
   verb.option("--out", flags->out, "where the page goes");
-  verb.option("--policy", flags->policy, "where the policy of the first way goes");
 }
 
 }  // namespace xauto::cli
