@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <memory>
 #include <optional>
 #include <unordered_map>
@@ -44,6 +45,41 @@ std::string cause() {
   bt_error_release(error);
   std::ranges::replace(text, '\n', ' ');
   return text.substr(0, 200);
+}
+
+/// Whether metadata are text, or whole packets one behind the other (CTF 1.8, 7.1). The library reads others for ever.
+bool whole_metadata(const fs::path& file) {
+  constexpr std::uint32_t kMagic = 0x75d11d57;
+  constexpr std::streamoff kHeader = 37, kContentBits = 24, kPacketBits = 28;
+  std::ifstream in(file, std::ios::binary);
+  std::error_code error;
+  const auto size = static_cast<std::streamoff>(fs::file_size(file, error));
+  const auto number = [&](std::streamoff at) {
+    std::uint32_t value = 0;
+    in.seekg(at);
+    in.read(reinterpret_cast<char*>(&value), sizeof value);
+    return value;
+  };
+  if (error || size < kHeader) return false;
+  const std::uint32_t first = number(0);
+  if (first != kMagic && first != __builtin_bswap32(kMagic)) {
+    char text[] = "/* CTF";
+    in.seekg(0);
+    in.read(text, sizeof text - 1);
+    return in.good() && std::string(text) == "/* CTF";
+  }
+  const auto bytes = [&](std::streamoff at) {
+    const std::uint32_t bits = number(at);
+    return static_cast<std::streamoff>((first == kMagic ? bits : __builtin_bswap32(bits)) / 8);
+  };
+  std::streamoff at = 0;
+  while (at + kHeader <= size) {
+    const std::streamoff content = bytes(at + kContentBits), packet = bytes(at + kPacketBits);
+    if (number(at) != first || content < kHeader || packet < content || packet > size - at)
+      return false;
+    at += packet;
+  }
+  return at == size;
 }
 
 /// Where events go.
@@ -209,6 +245,9 @@ class Reading {
   }
 
   void read(const std::string& folder) {
+    if (!whole_metadata(fs::path(folder) / "metadata"))
+      return broken(folder,
+                    "its metadata are no text, or end amid a packet: nothing of it is read");
     if (opens(folder).empty())
       read_streams(folder);
     else

@@ -335,6 +335,16 @@ TEST(Ros2Trace, ATruncatedStreamIsReadUntilThere) {
   EXPECT_GT(calls, 5u);
 }
 
+TEST(Ros2Trace, MetadataThatEndAmidAPacketAreNotGivenToTheLibrary) {
+  for (const std::uintmax_t left : {0u, 36u, 258u, 2359u, 4435u, 8191u}) {
+    const Copy copy;
+    fs::resize_file(copy.folder / "metadata", left);
+    const auto trace = read_ros2_trace(copy.folder.string());  // babeltrace2 2.0.4 would not return
+    ASSERT_FALSE(trace) << left;
+    EXPECT_NE(trace.error().what.find("metadata"), std::string::npos);
+  }
+}
+
 TEST(Ros2Trace, DamagedTracesAreErrorsOrNotes) {
   std::uint64_t dice = 1;
   for (int round = 0; round < 60; ++round) {
