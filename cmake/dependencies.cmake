@@ -51,3 +51,17 @@ if(XAUTO_CYCLONEDDS)
   endif()
 endif()
 message(STATUS "Plug-in for Cyclone DDS: ${XAUTO_HAVE_CYCLONEDDS}")
+
+# What `xauto import` reads with others' libraries; without one it says so. libbabeltrace2 loads a plug-in of its own, so
+# none of it is linked in.
+pkg_check_modules(BABELTRACE2 QUIET IMPORTED_TARGET babeltrace2)
+pkg_check_modules(LIBYAML QUIET IMPORTED_TARGET yaml-0.1)
+set(XAUTO_HAVE_BABELTRACE OFF)
+if(BABELTRACE2_FOUND AND NOT XAUTO_LINK_IN)
+  set(XAUTO_HAVE_BABELTRACE ON)
+endif()
+set(XAUTO_HAVE_LIBYAML OFF)
+if(LIBYAML_FOUND AND NOT XAUTO_LINK_IN)
+  set(XAUTO_HAVE_LIBYAML ON)
+endif()
+message(STATUS "Import of LTTng traces: ${XAUTO_HAVE_BABELTRACE}, of architecture.yaml: ${XAUTO_HAVE_LIBYAML}")

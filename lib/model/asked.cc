@@ -192,6 +192,8 @@ Result<std::string> with_what_was_asked(AppSpec fresh, std::string_view old_text
     lines.push_back("left: all of app '" + old.name + "', of which the file was");
     return to_json(fresh);
   }
+  if (parsed.contains("seen") || parsed.contains("todo"))
+    lines.emplace_back("left: \"seen\" and \"todo\", of an import: the profile goes before them");
   Keeper keeper(fresh, old, lines);
   Status valid = keeper.rates();
   if (valid) {

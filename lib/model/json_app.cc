@@ -323,6 +323,27 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
       "that waits for nobody names the \"source\" that it hears of");
   // What is asked of the solver; tools/xauto/objectives_file.h reads it.
   root.knows({"pins/*/xnode", "pins/*/xpu", "forbids/*/xnode", "forbids/*/xpu", "groups"});
+  // What `xauto import` knows beside it: imported.h.
+  root.knows({"todo/*/at",
+              "todo/*/what",
+              "seen/from",
+              "seen/duration_us",
+              "seen/cores",
+              "seen/executors/*/name",
+              "seen/executors/*/type",
+              "seen/executors/*/threads",
+              "seen/executors/*/groups/*/type",
+              "seen/executors/*/groups/*/xnodes",
+              "seen/xnodes/*/name",
+              "seen/xnodes/*/times_us",
+              "seen/xnodes/*/delay_us",
+              "seen/xnodes/*/lead_us",
+              "seen/xnodes/*/depth",
+              "seen/chains/*/name",
+              "seen/chains/*/count",
+              "seen/chains/*/p50_us",
+              "seen/chains/*/p99_us",
+              "seen/chains/*/max_us"});
   app.name = root["name"].text();
   if (root.has("incomplete")) app.incomplete = root["incomplete"].text();
   std::vector<Keys::Undeclared> undeclared;

@@ -214,13 +214,13 @@ void LineUp::place(int i) {
   };
   if (std::none_of(may.begin(), may.end(), allowed)) where.free = false;
   if (std::none_of(may.begin(), may.end(), allowed)) where.apart = false;
+  const auto suits = [&](int m) {  // its group
+    return group < 0 || std::ranges::all_of(p_.groups[at(group)], [&](int j) {
+             return p_.wcet(j, m) != kNoTick && (xpu_[at(j)] < 0 || xpu_[at(j)] == m);
+           });
+  };
   for (const int m : may) {
-    if (!allowed(m)) continue;
-    if (group >= 0 &&
-        std::any_of(p_.groups[at(group)].begin(), p_.groups[at(group)].end(), [&](int j) {
-          return p_.wcet(j, m) == kNoTick || (xpu_[at(j)] >= 0 && xpu_[at(j)] != m);
-        }))
-      continue;
+    if (!allowed(m) || !suits(m)) continue;
     const bool full = load_with(m) > kFullyLoaded;
     const Tick end = end_of(m, ready_on(m), p_.wcet(i, m));
     if (best >= 0) {
@@ -235,7 +235,10 @@ void LineUp::place(int i) {
     best_end = end;
     best_full = full;
   }
-  if (best < 0) best = may.front();
+  if (best < 0) {  // a group goes before XPUs of its clock's own
+    const auto any = std::ranges::find_if(may, suits);
+    best = any == may.end() ? may.front() : *any;
+  }
   const Tick work = p_.wcet(i, best), ready = ready_on(best);
   end_[at(i)] = end_of(best, ready, work);
   xpu_[at(i)] = best;

@@ -312,6 +312,15 @@ class Play {
     return std::max<Atoms>(1, static_cast<Atoms>(static_cast<double>(most) * random_.unit()));
   }
 
+  /// How long activation n of the XNode takes.
+  Atoms time_of(int xnode, std::int64_t n) {
+    const Atoms most = w_.wcet[at(xnode)] * kMillion;
+    if (options_.times_us.empty() || options_.times_us[at(xnode)].empty())
+      return some(most, options_.random_times);
+    const auto& times = options_.times_us[at(xnode)];
+    return std::min(most, atoms(times[static_cast<std::size_t>(n) % times.size()]));
+  }
+
   void release(int component, std::int64_t n) {
     const Component& c = w_.components[at(component)];
     const Atoms when =
@@ -334,7 +343,7 @@ class Play {
       const std::size_t j = static_cast<std::size_t>(n) % p.key_us.size();
       Job job;
       job.key = now_ + atoms(p.key_us[j]) - sooner;
-      job.left = some(w_.wcet[at(i)] * kMillion, options_.random_times);
+      job.left = time_of(i, n);
       // One more, so that nothing is ready before all of it is said.
       job.waits = 1 + static_cast<int>(w_.before[at(i)].size());
       for (const int s : w_.app.xnodes[at(i)].sources) {

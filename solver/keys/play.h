@@ -38,6 +38,9 @@ struct PlayOptions {
   /// [xnode] of whose app, where it is several (model/together.h): on an XPU that two of them have, and where preemption
   /// costs, nobody starts early. Empty: of one.
   std::vector<int> app_of = {};
+  /// [xnode] execution times of its activations in us, from the first on again after the last, at most the WCET. Empty, or
+  /// of an XNode empty: as `random_times` says.
+  std::vector<std::vector<std::int64_t>> times_us = {};
 };
 
 struct PlayedXNode {

@@ -234,6 +234,13 @@ def test_what_the_tools_write_is_valid():
         told = json.loads(printed)
         check("uncertified", told, "solve")
         check("policy", told["policy"], "solve")
+        trace = SOURCE / "tests/golden/ros2-trace/made"
+        printed = xauto("import", trace, "--json", "--out", "i.json", cwd=folder)
+        if "without lib" not in printed.stderr:
+            check("import", json.loads(printed.stdout), "import")
+            check("app", json.loads((folder / "i.json").read_text()), "i.json")
+            printed = xauto("whatif", "i.json", "--time-limit", "1s", "--json", cwd=folder).stdout
+            check("whatif", json.loads(printed), "whatif")
         written("report", "run", "--app", APP, "--platform", "small", "--policy", "p.json", "--emulate",
                 "--lockstep", "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
         written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2, "--out",

@@ -64,6 +64,7 @@ void add_doctor(Commands&);
 void add_explain(Commands&);
 void add_generate(Commands&);
 void add_graph(Commands&);
+void add_import(Commands&);
 void add_monitor(Commands&);
 void add_param(Commands&);
 void add_prio(Commands&);
@@ -74,6 +75,7 @@ void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);
 void add_top(Commands&);
+void add_whatif(Commands&);
 
 /// What a search tells on stderr: one line that overwrites itself on a terminal, from 0.3 s on;
 /// elsewhere a line every two seconds. Threads: one caller at a time.

@@ -14,6 +14,8 @@ int main(int argc, char** argv) {
   xauto::cli::Commands commands(program);
   xauto::cli::add_doctor(commands);
   xauto::cli::add_generate(commands);
+  xauto::cli::add_import(commands);
+  xauto::cli::add_whatif(commands);
   xauto::cli::add_profile(commands);
   xauto::cli::add_graph(commands);
   xauto::cli::add_solve(commands);

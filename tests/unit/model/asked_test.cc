@@ -110,6 +110,14 @@ TEST(Asked, WhatTheSolverAloneReadsStaysWhereItFits) {
   EXPECT_TRUE(kept.says("left: an entry of \"groups\""));
 }
 
+TEST(Asked, WhatATraceShowedIsNotOfTheProfile) {
+  const Kept kept =
+      keep(old_app(R"({"name": "camera", "rate_hz": 30}, {"name": "lidar", "period_us": 100000})",
+                   R"(, "todo": [{"what": "w"}])"));
+  EXPECT_TRUE(kept.says("\"todo\""));
+  EXPECT_EQ(kept.text.find("todo"), std::string::npos);
+}
+
 TEST(Asked, AnotherAppsFileIsNotMixedIn) {
   std::string other = old_app(kSources);
   other.replace(other.find("\"p\""), 3, "\"q\"");

@@ -49,6 +49,7 @@ const std::map<std::string, Names>& allowed() {
         "uapi"}},
       {"lib/app", {"model", "emu", "xpu", "session", "graph", "profile", "engine", "launch"}},
       {"lib/story", {"model", "trace", "uapi"}},
+      {"lib/import", {"model"}},
       {"solver", {"model"}},
       {"include/xauto", {}},
       {"include/uapi", {}},
@@ -57,12 +58,12 @@ const std::map<std::string, Names>& allowed() {
   return table;
 }
 
-const Names kParts = {"base",      "model",  "trace",     "record",   "emu",    "coord",
-                      "session",   "graph",  "processes", "profile",  "grid",   "runtime",
-                      "account",   "tables", "releases",  "engine",   "launch", "xpu",
-                      "transport", "kernel", "app",       "solver",   "story",  "xauto",
-                      "uapi",      "tools",  "bench",     "examples", "tests",  "lib",
-                      "kmod",      "bpf",    "include"};
+const Names kParts = {"base",    "model",     "trace",     "record",  "emu",      "coord",
+                      "session", "graph",     "processes", "profile", "grid",     "runtime",
+                      "account", "tables",    "releases",  "engine",  "launch",   "xpu",
+                      "import",  "transport", "kernel",    "app",     "solver",   "story",
+                      "xauto",   "uapi",      "tools",     "bench",   "examples", "tests",
+                      "lib",     "kmod",      "bpf",       "include"};
 
 /// Foreign headers that take seconds to compile -> files that may include them.
 const std::map<std::string, Names>& expensive() {
