@@ -166,7 +166,7 @@ class Paper:
             return deep[x]
         return {"claim_us": max(c["worst_case_us"] for c in ours["chains"]), "xauto_p50_us": ours["p50_us"],
                 "xauto_max_us": ours["max_us"], "ros2_p50_us": ros2["p50_us"], "releases": ours["activations"],
-                "lost": ours["lost_activations"] + ros2["lost_activations"], "coordinators_pct": ours["coordinators_cpu_pct"],
+                "lost": ours["lost_activations"] + ros2["lost_activations"], "coordinators_in_run_pct": ours["coordinators_cpu_pct"],
                 "depth": max(map(depth, (x["name"] for x in text["xnodes"]))),
                 "verdict": ours["claims"]["verdict"], "stall_ms": self.stalls.take(), "load": os.getloadavg()[0]}
 
@@ -217,7 +217,7 @@ class Paper:
             rows += [{"times": "WCET" if words else "60 to 95 % of it", "policy": r["policy"], "releases": r["activations"],
                       "lost": r["lost_activations"], "p50_us": r["p50_us"], "p99_us": r["p99_us"], "max_us": r["max_us"],
                       "claim_us": max((c.get("worst_case_us") or 0 for c in r["chains"]), default=0), "verdict": r["claims"]["verdict"],
-                      "coordinators_pct": r["coordinators_cpu_pct"], "stall_ms": stall} for r in runs]
+                      "coordinators_in_run_pct": r["coordinators_cpu_pct"], "stall_ms": stall} for r in runs]
         return rows
 
     def runtime(self):

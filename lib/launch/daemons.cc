@@ -184,7 +184,6 @@ Status Daemons::start_coordinator(Daemon daemon, const std::string& xpu, UniqueF
   daemon.options.argv.insert(daemon.options.argv.end(), {"--xpu", xpu});
   daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
   XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
-  daemon.start_up_us = cpu_us(daemon.child);
   XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
   daemons_.push_back(std::move(daemon));
   return {};
@@ -192,8 +191,7 @@ Status Daemons::start_coordinator(Daemon daemon, const std::string& xpu, UniqueF
 
 /// A daemon has died: the next one goes on with what it left, and no job notices.
 bool Daemons::restart(Daemon& daemon, const Exit& exit) {
-  if (daemon.coordinator)
-    coordinators_cpu_us_ += std::max<std::int64_t>(0, exit.cpu_us - daemon.start_up_us);
+  if (daemon.coordinator) ended_cpu_us_ += exit.cpu_us;
   ++deaths_;
   Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
   // One that dies while it starts is followed, too, but not for ever.
@@ -209,7 +207,6 @@ bool Daemons::restart(Daemon& daemon, const Exit& exit) {
     return false;
   }
   daemon.child = std::move(*child);
-  daemon.start_up_us = cpu_us(daemon.child);
   const std::string what = daemon.name + " died (" + exit.to_string() + ")";
   log::warn("{} and was started again", what);
   if (++daemon.deaths == 1) {
@@ -270,11 +267,15 @@ bool Daemons::look_after(std::int64_t now) {
 
 void Daemons::stop(int grace_ms) {
   thread_.check();
-  for (Daemon& daemon : daemons_) {
-    const Exit exit = daemon.child.stop(grace_ms);
-    if (daemon.coordinator)
-      coordinators_cpu_us_ += std::max<std::int64_t>(0, exit.cpu_us - daemon.start_up_us);
-  }
+  for (Daemon& daemon : daemons_) (void)daemon.child.stop(grace_ms);
+}
+
+std::int64_t Daemons::coordinators_cpu_us() const {
+  thread_.check();
+  std::int64_t sum_us = ended_cpu_us_;
+  for (const Daemon& daemon : daemons_)
+    if (daemon.coordinator && !daemon.noticed) sum_us += cpu_us(daemon.child);
+  return sum_us;
 }
 
 }  // namespace xauto::launch

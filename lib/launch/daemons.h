@@ -71,8 +71,8 @@ class Daemons {
   [[nodiscard]] std::uint64_t deaths() const { return deaths_; }
   /// Of which daemons these were, a line each: "xauto-emud died and was restarted, 2 times".
   [[nodiscard]] std::vector<std::string> who_died() const;
-  /// CPU time of all coordinators together, each from when it served.
-  [[nodiscard]] std::int64_t coordinators_cpu_us() const { return coordinators_cpu_us_; }
+  /// CPU time that all coordinators together have used so far.
+  [[nodiscard]] std::int64_t coordinators_cpu_us() const;
 
  private:
   struct Daemon {
@@ -82,7 +82,6 @@ class Daemons {
     bool noticed = false;
     SpawnOptions options;  ///< to start it again
     UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
-    std::int64_t start_up_us = 0;  ///< CPU time of a coordinator until it served
     int starts = 1;
     int most_restarts = kMaxRestarts;
     int deaths = 0;            ///< after which it was started again
@@ -104,7 +103,7 @@ class Daemons {
   std::int64_t next_look_ns_ = 0;
   bool emulator_died_ = false;
   std::uint64_t deaths_ = 0;
-  std::int64_t coordinators_cpu_us_ = 0;
+  std::int64_t ended_cpu_us_ = 0;  ///< of coordinators that have ended
 };
 
 }  // namespace xauto::launch

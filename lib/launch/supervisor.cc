@@ -85,7 +85,6 @@ class Supervisor {
     outcome_.app = *app_.wait(0);
     for (ModuleProcess& process : processes_) end(process);
     daemons_->stop(kGraceMs);
-    outcome_.coordinators_cpu_us = daemons_->coordinators_cpu_us();
     outcome_.deaths += daemons_->deaths() + (lease_lost_ ? 1 : 0);
     outcome_.dead_daemons = daemons_->who_died();
     if (lease_lost_) outcome_.dead_daemons.push_back("xauto-system ended, and its coordinators");
@@ -281,6 +280,17 @@ class Supervisor {
     }
   }
 
+  /// What the coordinators use while jobs run.
+  void look_at_coordinators(std::int64_t now) {
+    if (!board_ || board_->settled() == 0) return;
+    const std::int64_t cpu_us = daemons_->coordinators_cpu_us();
+    if (!first_look_)
+      first_look_ = {now, cpu_us};
+    else
+      outcome_.coordinators_share = static_cast<double>(cpu_us - first_look_->second) * 1e3 /
+                                    static_cast<double>(now - first_look_->first);
+  }
+
   /// The run is over. Who crashes now loses nothing of it, and is no death, but it is a fault.
   void end(ModuleProcess& process) {
     const Exit exit = process.child.stop(kGraceMs);
@@ -407,6 +417,7 @@ class Supervisor {
         request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
       look_for_incidents(now);
       if (!daemons_->look_after(now)) tell(nullptr);
+      look_at_coordinators(now);
       look_at_lease();
       show_deaths();
       if (cpus_.scheduler)
@@ -480,6 +491,8 @@ class Supervisor {
   std::optional<DeployedPolicy> policy_;
   bool stopped_ = false;  ///< by the user
   bool silence_told_ = false;
+  std::optional<std::pair<std::int64_t, std::int64_t>>
+      first_look_;  ///< at the coordinators: when; CPU time in us
   Dumps dumps_[2];  ///< misses, hangs
   Outcome outcome_;
 };

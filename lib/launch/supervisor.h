@@ -73,8 +73,9 @@ struct Outcome {
   std::vector<std::string>
       gone;  ///< modules' processes that died and were not started again, a line each
   std::vector<std::string> dead_daemons;  ///< which of these were daemons, a line each
-  std::int64_t coordinators_cpu_us =
-      0;              ///< CPU time of all coordinators together, start-up left out
+  /// Of one CPU, by all coordinators together: from the first release to the last look, without start-up and end.
+  /// None: the run was too short to look twice.
+  std::optional<double> coordinators_share;
   double wall_s = 0;  ///< of the app
 };
 

@@ -77,7 +77,8 @@ constexpr double kComponentRange = 0.8;  ///< of keys and of windows
 /// Where turns begin, as shares of the cost, one after the other: no one is best for all apps. One
 /// that fell from turn to turn was before; by how much these are better is not kept.
 constexpr double kHot[] = {0.05, 0.15, 0.03};
-constexpr double kCold = 0.01;  ///< where they end, as a share of where they began
+constexpr std::size_t kElsewhere = 1;  ///< of these, after the first round: begins elsewhere
+constexpr double kCold = 0.01;         ///< where they end, as a share of where they began
 /// Steps of a turn; twice as many after each round of `kHot`.
 constexpr std::int64_t kFirstSteps = 1500;
 /// Of what is not valid, the share of kInvalidCost that stands for the cost.
@@ -544,7 +545,7 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   const int i = pick(from);
   const auto& may = p_.may_run[at(i)];
   if (what < kMoveBelow && keep_ == Keep::kNothing) {
-    if (may.size() < 2) return false;
+    if (may.size() < 2 || i == stays_) return false;
     const int m = may[random_.below(may.size())];
     if (!std::binary_search(may.begin(), may.end(), m)) return false;
     if (m == next.xpu[at(i)]) return false;
@@ -554,7 +555,7 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   if (what < kExchangeBelow && keep_ == Keep::kNothing) {
     const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
     const int mi = next.xpu[at(i)], mj = next.xpu[at(j)];
-    if (mi == mj) return false;
+    if (mi == mj || i == stays_ || j == stays_) return false;
     const auto& other = p_.may_run[at(j)];
     if (!std::binary_search(may.begin(), may.end(), mj) ||
         !std::binary_search(other.begin(), other.end(), mi) || p_.group_of[at(i)] >= 0 ||
@@ -603,9 +604,36 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   return key != before;
 }
 
-void Search::anneal(std::int64_t steps, double hot,
+/// One XNode, heavy ones sooner, goes to another type, where there is one. In this turn it stays there: what is best
+/// with it may be far from what is best without.
+void Search::detour(Decision& d) {
+  if (keep_ != Keep::kNothing) return;
+  const auto away = [&](int i, int m) {
+    return p_.xpu_place[at(m)] != p_.xpu_place[at(d.xpu[at(i)])];
+  };
+  std::vector<double> load(at(p_.num_xnodes), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    if (p_.group_of[at(i)] < 0 &&
+        std::ranges::any_of(p_.may_run[at(i)], [&](int m) { return away(i, m); }))
+      load[at(i)] = p_.load_of(i, d.xpu[at(i)], false);
+  double drawn = random_.unit() * std::accumulate(load.begin(), load.end(), 0.0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    if (load[at(i)] == 0) continue;
+    stays_ = i;
+    if ((drawn -= load[at(i)]) <= 0) break;
+  }
+  if (stays_ < 0) return;
+  std::vector<int> where = p_.may_run[at(stays_)];
+  std::erase_if(where, [&](int m) { return !away(stays_, m); });
+  d.xpu[at(stays_)] = where[random_.below(where.size())];
+}
+
+void Search::anneal(std::int64_t steps, double hot, bool elsewhere,
                     const std::function<void(const Candidate&)>& on_better) {
   Candidate current = front(), next;
+  stays_ = -1;
+  if (elsewhere) detour(current.decision);
+  if (stays_ >= 0) evaluate(current);
   // It may be of another goal.
   if (current.figures.valid) current.figures.cost = evaluator_.cost_of(current.figures);
   set_critical(current);
@@ -656,11 +684,12 @@ void Search::run(const SearchLimits& limits, const Policy* hint, Keep keep,
     const std::int64_t before = evaluator_.evaluations();
     const std::size_t turn = cycle % std::size(kHot);
     const bool last = turn + 1 == std::size(kHot);
+    const bool elsewhere = turn == kElsewhere && cycle > turn && found_.may_sum();
     if (limits_.exchange && last) {
       limits_.exchange(found_);
       set_goal();
     }
-    anneal(steps, kHot[turn], on_better);
+    anneal(steps, kHot[turn], elsewhere, on_better);
     if (evaluator_.evaluations() == before && (goal_.sum || !may_sum()))
       return;  // nothing can be changed
     if (last) steps *= 2;

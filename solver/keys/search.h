@@ -145,7 +145,8 @@ class Search {
   void spread_windows(Decision& d, double part) const;
   [[nodiscard]] bool change_window(const Candidate& from, Decision& next, int xnode);
   void balance(std::vector<int>& xpu, int steps);
-  void anneal(std::int64_t steps, double hot,
+  void detour(Decision& d);
+  void anneal(std::int64_t steps, double hot, bool elsewhere,
               const std::function<void(const Candidate&)>& on_better);
   void keep(const Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
@@ -166,6 +167,7 @@ class Search {
   Goal goal_;
   std::unique_ptr<LineUp> lines_;
   Line line_;                  ///< the best of them; without an order there is none
+  int stays_ = -1;             ///< XNode that keeps its XPU in this turn; -1: none
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;
 

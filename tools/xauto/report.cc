@@ -207,12 +207,6 @@ std::string xpus_text(const RunFlags& flags) {
   return said == "emulated" ? "emulated XPUs" : "XPUs " + said;
 }
 
-double coordinators_cpu_pct(const PolicyRun& run) {
-  return run.outcome.wall_s <= 0
-             ? 0.0
-             : static_cast<double>(run.outcome.coordinators_cpu_us) / (run.outcome.wall_s * 1e4);
-}
-
 /// From the first event that is there to the last.
 double traced_s(const trace::Recording& trace) {
   if (trace.events.empty()) return 0;
@@ -364,6 +358,7 @@ Json xnodes_json(const PolicyRun& run) {
 Json run_json(const RunFlags& flags, const PolicyRun& run, const PolicyRun* base) {
   const std::size_t n = run.latency.count;
   const auto misses = deadline_misses(run);
+  const auto& share = run.outcome.coordinators_share;
   Json j = {{"policy", run.id},
             {"name", run.name},
             {"p50_us", or_null(run.latency.p50_us, n)},
@@ -380,7 +375,7 @@ Json run_json(const RunFlags& flags, const PolicyRun& run, const PolicyRun* base
             {"trace_events_lost", run.outcome.trace.lost},
             {"trace_events_overwritten", run.outcome.trace.overwritten},
             {"trace_us", std::llround(traced_s(run.outcome.trace) * 1e6)},
-            {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
+            {"coordinators_cpu_pct", share ? Json(*share * 100) : Json()}};
   if (!flags.fail_on.empty()) {
     Json gate = Json::object();
     for (const GateCount& g : gate_of(flags, run)) gate[g.word] = g.count;
@@ -453,9 +448,9 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   }
   if (runs.size() > 1 && !runs.front().report.several_rates) out += spread_of(runs);
   for (const PolicyRun& run : runs) {
-    if (run.scheduling == runtime::Scheduling::kXAuto)
-      out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
-                         coordinators_cpu_pct(run));
+    if (run.scheduling == runtime::Scheduling::kXAuto && run.outcome.coordinators_share)
+      out += fmt::format("  {}: coordinators used {:.3f} % of one CPU\n", run.name,
+                         *run.outcome.coordinators_share * 100);
     if (!run.outcome.real_cpus.empty())
       out += fmt::format("  {}: real CPUs: {}\n", run.name, run.outcome.real_cpus);
     for (const runtime::PreemptionReport& of : run.report.preemptions)

@@ -53,9 +53,16 @@ struct SteppedAtomics {
   static inline const std::atomic<std::uint64_t>* finished = nullptr;  ///< [kXNodes]
   static inline std::uint32_t own = 0;                                 ///< XNode
   static inline std::array<std::optional<std::uint64_t>, kXNodes> first;
+  /// Break it: to this operation no command of these slots says that a queue is to be suspended.
+  static inline const SlotMemory* resumed = nullptr;
+  static inline std::size_t num_resumed = 0;
 
   template <class T>
   static T believed(const std::atomic<T>& x, T value) {
+    if constexpr (std::is_same_v<T, std::uint32_t>) {
+      for (std::size_t i = 0; i < num_resumed; ++i)
+        if (&x == &resumed[i].coordinator.command) return value & ~1u;
+    }
     if constexpr (std::is_same_v<T, std::uint64_t>) {
       if (belief == Belief::kWhatIsThere || &x < finished || &x >= finished + kXNodes) return value;
       const auto xnode = static_cast<std::size_t>(&x - finished);
@@ -152,6 +159,8 @@ struct ProtocolWorld {
   bool lose_wakes = false;    ///< break it: whoever hands over does not wake
   bool blind_finish = false;  ///< break it: FINISH grants who waits for others
   bool look_once = false;     ///< break it: START does not look again when it has parked
+  bool blind_taking =
+      false;  ///< break it: START takes an XPU whose victim is not told to resume yet
   int max_rounds = Referee<SteppedAtomics>::kMaxRounds;  ///< of one look of the coordinator
   bool lose_again = false;  ///< break it: a look that gave up is not followed by another one
   bool verbose = false;     ///< the trail tells the words
@@ -354,6 +363,7 @@ class ProtocolExplorer {
     }
     A::record = nullptr;
     A::belief = A::Belief::kWhatIsThere;
+    A::num_resumed = 0;
     if (complete) *record = {};
     return complete;
   }
@@ -385,6 +395,10 @@ class ProtocolExplorer {
     job.since_ns = m;
     bool signal = false;
     if (world_.look_once) believe(A::Belief::kWhatWasThere, xpu, job.xnode);
+    if (world_.blind_taking) {
+      A::resumed = xpu.memory->slots;
+      A::num_resumed = kSlots;
+    }
     if (!advance(&module.record, [&] {
           start = words.start(static_cast<int>(m), generation, job);
           if (start.started == Started::kDecided) signal = words.ring();

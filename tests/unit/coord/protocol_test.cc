@@ -218,6 +218,32 @@ TEST(Protocol, WorkersThatBringSeveralJobs) {
   }
 }
 
+/// One that is given back is taken again, at any moment until it runs.
+ProtocolWorld taken_twice() {
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 1)}, {task(2, 3), task(3, 2)}});
+  w.coarse = true;
+  return w;
+}
+
+TEST(Protocol, OneThatIsBeingResumedIsTakenFromAgain) {
+  ProtocolWorld w = taken_twice();
+  w.may_refuse = true;
+  expect_clean(w, 500);
+  w.may_refuse = false;
+  w.deaths = 1;
+  w.coordinator_deaths = long_ones() ? 1 : 0;
+  expect_clean(w, 1000);
+}
+
+/// Modules in the order in which this fault shows soonest: after 17,517 states.
+TEST(Protocol, TheExplorerFindsOneThatIsTakenFromBeforeItIsToldToResume) {
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 3)}, {task(1, 1)}, {task(2, 2)}});
+  w.coarse = true;
+  w.blind_taking = true;
+  w.limit = 50'000;
+  EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+}
+
 TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
   for (const Discipline d :
        {Discipline::kPreemptive, Discipline::kGate, Discipline::kLevels, Discipline::kKernel}) {

@@ -207,5 +207,31 @@ TEST(KeysObjective, OneDeadlineOfAllMakesNoOtherPlan) {
   EXPECT_EQ(ends[0], ends[1]);
 }
 
+/// ... of worst case / deadline, of the Driving Case at its rates; `gpu`: its LiDAR's net is to be there.
+double driving_sum(bool gpu, std::uint64_t seed) {
+  const AppSpec app = *load_app(XAUTO_SOURCE_DIR "/examples/driving/rates.json");
+  Options options = brief(20'000);
+  options.seed = seed;
+  if (gpu) options.wishes.pins.push_back({"ld.infer", "gpu0"});
+  const auto answer = solve(app, *Platform::builtin("small"), options);
+  EXPECT_TRUE(answer) << answer.error().to_string();
+  double sum = 0;
+  for (std::size_t c = 0; c < app.chains.size(); ++c)
+    sum += static_cast<double>(answer->policy.chains[c].worst_case_us) /
+           static_cast<double>(*app.chains[c].deadline_us);
+  return sum;
+}
+
+/// The net moved to the GPU alone is worse, until three others have left the GPU: what is found with it there may be
+/// found without being told. Before there were detours no seed of eight came nearer than 4.8 %.
+TEST(KeysObjective, AnAssignmentThatIsFarFromTheFirstIsFound) {
+  double told = 9, untold = 9;
+  for (const std::uint64_t seed : {2, 4, 7}) {
+    told = std::min(told, driving_sum(true, seed));
+    untold = std::min(untold, driving_sum(false, seed));
+  }
+  EXPECT_LE(untold, 1.03 * told);
+}
+
 }  // namespace
 }  // namespace xauto::solver::keys
