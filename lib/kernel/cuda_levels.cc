@@ -4,6 +4,13 @@
 
 #include <dlfcn.h>
 
+// UBSan compares the types of functions, where both sides are compiled with it.
+#ifdef __clang__
+#define XAUTO_LIKE_C __attribute__((no_sanitize("function")))
+#else
+#define XAUTO_LIKE_C
+#endif
+
 namespace xauto::kernel {
 namespace {
 
@@ -18,9 +25,9 @@ class Driver {
   Driver(const Driver&) = delete;
   Driver& operator=(const Driver&) = delete;
 
-  /// False where there is no such function, too.
+  /// False where there is no such function, too. An enum and pointers of CUDA's are an int and void* here.
   template <class... Arguments>
-  [[nodiscard]] bool call(const char* function, Arguments... arguments) const {
+  [[nodiscard]] XAUTO_LIKE_C bool call(const char* function, Arguments... arguments) const {
     if (library_ == nullptr) return false;
     const auto found = reinterpret_cast<int (*)(Arguments...)>(dlsym(library_, function));
     return found != nullptr && found(arguments...) == kSuccess;

@@ -175,10 +175,10 @@ class Regulated(unittest.TestCase):
         told = json.loads(xauto("top", "--system", self.socket, "--interval", "50ms", "--json").stdout)
         return {app["app"]: app["regulated"] for app in told["machine"]["apps"]}
 
-    def report(self, run, name):
+    def report(self, run, name, status=(0,)):
         run.terminate()
         said, _ = run.communicate(timeout=60)
-        self.assertEqual(run.returncode, 0, said)
+        self.assertIn(run.returncode, status, said)
         return json.loads((self.at / name / "report.json").read_text())["runs"][0]
 
     def test_a_run_of_another_user_is_scheduled_beside_ours(self):
@@ -203,7 +203,7 @@ class Regulated(unittest.TestCase):
         self.plan("steady", "wild")
         steady, wild = self.run_app("steady", 40_000, 3_000), self.run_app("wild", 40_000, 4_500, every=2, times=10)
         time.sleep(4)
-        seen = self.report(steady, "steady"), self.report(wild, "wild")
+        seen = self.report(steady, "steady"), self.report(wild, "wild", (0, 1))  # it may lose what it has no time for
         self.assertEqual(seen[0]["lost_activations"], 0)
         chain, late = (report["chains"][0] for report in seen)
         self.assertGreater(chain["results"], 50)

@@ -1072,7 +1072,7 @@ std::string tell_played(const AppSpec& app, const Platform& platform, const Poli
 /// Likewise of `chains`.
 std::string tell_chains(const keys::PlayReport& played, Json& chains) {
   std::string table =
-      row_of("chain", 19) + fmt::format("{:>13}{:>13}{:>14}{:>12}{:>9}\n", "median", "99 %",
+      row_of("chain", 17) + fmt::format("{:>13}{:>13}{:>14}{:>12}{:>9}\n", "median", "99 %",
                                         "longest seen", "worst case", "releases");
   for (const keys::PlayedChain& chain : played.chains) {
     Json entry = {{"name", chain.name},
@@ -1082,7 +1082,7 @@ std::string tell_chains(const keys::PlayReport& played, Json& chains) {
                   {"releases", chain.releases}};
     if (chain.claimed_us) entry["worst_case_us"] = *chain.claimed_us;
     const auto seen = [&](double us) { return chain.releases > 0 ? ms_of(us) : "-"; };
-    table += row_of(chain.name, 19) + fmt::format("{:>13}{:>13}{:>14}{:>12}{:>9}\n",
+    table += row_of(chain.name, 17) + fmt::format("{:>13}{:>13}{:>14}{:>12}{:>9}\n",
                                                   seen(chain.median_us), seen(chain.p99_us),
                                                   seen(chain.longest_us),
                                                   worst_of(chain.claimed_us), chain.releases);
@@ -1091,7 +1091,7 @@ std::string tell_chains(const keys::PlayReport& played, Json& chains) {
       if (chain.claimed_urgent_us) urgent["worst_case_us"] = *chain.claimed_urgent_us;
       entry["urgent"] = std::move(urgent);
       table +=
-          fmt::format("  {:<45}{:>14}{:>12}{:>9}\n", "  urgent", ms_of(chain.longest_urgent_us),
+          fmt::format("  {:<43}{:>14}{:>12}{:>9}\n", "  urgent", ms_of(chain.longest_urgent_us),
                       worst_of(chain.claimed_urgent_us), chain.urgent);
     }
     chains.push_back(std::move(entry));
