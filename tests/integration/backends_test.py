@@ -51,9 +51,17 @@ class Backends(unittest.TestCase):
         tool = subprocess.Popen([str(BIN / "on_devices"), driver, self.path("state"), XAUTO, "run", "--app", self.path("app.json"),
                                  "--platform", self.path(f"{way}.json"), "--policy", self.path(f"{way}.policy.json"), "--activations", "0",
                                  "--overload", "newest", "--json", *flags, "--", str(BIN / "queuesapp"), driver, self.path("hold")],
-                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        self.addCleanup(tool.kill)
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+        self.addCleanup(self.kill_all, tool)
         return tool
+
+    @staticmethod
+    def kill_all(tool):
+        """With the run below it, which would go on having the GPU."""
+        try:
+            os.killpg(tool.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass
 
     def state(self):
         """What the driver knows; {} before it does."""
