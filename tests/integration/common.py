@@ -40,6 +40,19 @@ def wait_for(what, probe, tool=None, seconds=60):
     return answer
 
 
+def system_service(test, folder, *flags, log=subprocess.DEVNULL):
+    """`xauto-system` of this test, to its end, whose socket is in `folder`: the process, and the socket."""
+    folder.chmod(0o755)  # other users come, too
+    socket = folder / "coordinator.sock"
+    service = subprocess.Popen([BIN / "xauto-system", "--socket", socket, *flags], stderr=log, text=True)
+    if service.stderr:
+        test.addCleanup(service.stderr.close)
+    test.addCleanup(service.wait)
+    test.addCleanup(service.kill)
+    wait_for("the socket", socket.exists, service)
+    return service, socket
+
+
 def socket_of(run, name):
     """Where this socket of the run listens, with the \\0 of an abstract address: one part of it is a secret."""
     lines = (line.split() for line in pathlib.Path("/proc/net/unix").read_text(errors="replace").splitlines())

@@ -11,7 +11,7 @@ import tempfile
 import time
 import unittest
 
-from common import BIN, SOURCE, TESTAPP, children_of, wait_for, xauto
+from common import BIN, SOURCE, TESTAPP, children_of, system_service, wait_for, xauto
 
 NOBODY, OTHER = 65534, 65533
 CORE = min(os.sched_getaffinity(0))
@@ -27,17 +27,12 @@ class Regulated(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.at = pathlib.Path(folder.name)
-        self.at.chmod(0o755)
-        self.socket = self.at / "coordinator.sock"
         self.attacker = self.at / "page.py"
         shutil.copy(SOURCE / "tests/attack/page.py", self.attacker)
         self.serve("root")
 
     def serve(self, trust):
-        self.service = subprocess.Popen([BIN / "xauto-system", "--socket", self.socket, "--trust", trust], stderr=subprocess.DEVNULL)
-        self.addCleanup(self.service.wait)
-        self.addCleanup(self.service.kill)
-        wait_for("the socket", self.socket.exists, self.service)
+        self.service, self.socket = system_service(self, self.at, "--trust", trust)
         self.socket.chmod(0o666)
 
     def as_user(self, uid, *command):

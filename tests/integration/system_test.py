@@ -11,9 +11,7 @@ import tempfile
 import time
 import unittest
 
-from common import FULL, TESTAPP, children_of, testapp_files, wait_for, xauto
-
-BIN = pathlib.Path(os.environ["XAUTO_BIN"])
+from common import BIN, FULL, TESTAPP, children_of, system_service, testapp_files, wait_for, xauto
 
 
 class System(unittest.TestCase):
@@ -21,13 +19,7 @@ class System(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.at = pathlib.Path(folder.name)
-        self.at.chmod(0o755)
-        self.socket = self.at / "coordinator.sock"
-        self.service = subprocess.Popen([BIN / "xauto-system", "--socket", self.socket], stderr=subprocess.PIPE, text=True)
-        self.addCleanup(self.service.stderr.close)
-        self.addCleanup(self.service.wait)
-        self.addCleanup(self.service.kill)
-        wait_for("the socket", self.socket.exists, self.service)
+        self.service, self.socket = system_service(self, self.at, log=subprocess.PIPE)
         # The first leaves room, the second is planned into it, the third knows of nobody.
         self.plan("first", 40_000, "--reserve", 50, "--demand-out", self.at / "demand.json")
         self.plan("second", 50_000, "--beside", self.at / "demand.json")

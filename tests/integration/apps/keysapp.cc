@@ -3,10 +3,11 @@
 // name says of CPU time, so that an order of ends is an order of who had the core.
 //   long 20 ms of 50, short 2 ms of 50, slow 1 ms of 100
 #include <cstdint>
-#include <ctime>
 #include <string>
 
 #include <xauto/xauto.h>
+
+#include "cpu_time.h"
 
 namespace {
 
@@ -15,12 +16,6 @@ using namespace std::chrono_literals;
 struct State {
   int done = 0;
 };
-
-std::int64_t cpu_ns() {
-  timespec t{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return t.tv_sec * 1'000'000'000 + t.tv_nsec;
-}
 
 void add(xauto::App& app, const std::string& name, std::chrono::microseconds period,
          std::chrono::nanoseconds burn) {

@@ -4,22 +4,17 @@
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
-#include <ctime>
 #include <string>
 
 #include <xauto/xauto.h>
+
+#include "cpu_time.h"
 
 namespace {
 
 struct State {
   int done = 0;
 };
-
-std::int64_t cpu_ns() {
-  timespec t{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return t.tv_sec * 1'000'000'000 + t.tv_nsec;
-}
 
 }  // namespace
 
