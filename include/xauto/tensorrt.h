@@ -89,8 +89,8 @@ inline Result<ElementType> element_type(nvinfer1::DataType type, const std::stri
 /// memory, nothing is copied; a discrete GPU reads them over its bus.
 class Session {
  public:
-  /// Loads the plan on GPU `index`, as cuda::Context::create; compares it with what the app counts on, makes the buffers, and runs
-  /// once on zeros. Errors: kNotFound: no such file; kInvalid: other tensors, or a plan of another version
+  /// Loads the plan on GPU `index`, by levels as cuda::Context::create; compares it with what the app counts on, makes
+  /// the buffers, and runs once on zeros. Errors: kNotFound: no such file; kInvalid: other tensors, or a plan of another version
   /// or GPU, with TensorRT's words; kUnavailable: CUDA's own.
   [[nodiscard]] static Result<std::unique_ptr<Session>> open(Model model, int index = 0,
                                                              int levels = 0) {

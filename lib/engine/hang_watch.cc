@@ -99,6 +99,9 @@ void HangWatch::report(RunReport& into) const {
   if (!threads_) return;
   for (TakenReport& one : threads_->taken()) into.account.taken.push_back(std::move(one));
   add_note(into.account.not_watched, threads_->not_watched());
+  if (std::ranges::any_of(wiring_.workers(), [](const auto& w) { return w->on_shared_core(); }))
+    add_note(into.account.not_watched,
+             "other runs are admitted to its cores, and nobody tells their jobs from strangers");
 }
 
 const std::string& HangWatch::note() const {

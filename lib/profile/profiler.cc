@@ -521,8 +521,8 @@ class Run {
     Input input = InputAccess::make();
   };
 
-  /// Has another XNode run below `n`, on what its module heard last, again and again. False: there is none.
-  Result<bool> begin_below(int n, const Alternative& as, std::uint64_t k) {
+  /// Has another XNode run below `n`, on what its module heard last, again and again: which. -1: there is none.
+  Result<int> begin_below(int n, const Alternative& as, std::uint64_t k) {
     std::vector<int> others;
     for (const auto& [other, active] : active_) {
       const int module = graph_.nodes[static_cast<std::size_t>(other)].module;
@@ -532,14 +532,14 @@ class Run {
         others.push_back(other);
     }
     const SchedHandle& handle = active_[n].made.handle;
-    if (others.empty() || handle.kind() != SchedHandle::Kind::kLevels) return false;
+    if (others.empty() || handle.kind() != SchedHandle::Kind::kLevels) return -1;
     const int other = others[k % others.size()];
     XAUTO_TRY(handle.callbacks()->take(xpu::levels_of(xpu(as.xpu), false) - 1));
     below_->begin([this, other] { return run_below(other); });
     // At several phases of its.
     sleep_until_ns(now_ns() +
                    usual_ns(other) * static_cast<std::int64_t>(k / others.size() % 4) / 4);
-    return true;
+    return other;
   }
 
   Status end_below(int n) {
@@ -603,10 +603,10 @@ class Run {
       const std::string where = "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(at).id;
       bool count = placing.counts[index];
       const bool emulated = active_[n].emulated;
-      bool below = false;
+      int below = -1;
       if (count && placing.above) {
         XAUTO_ASSIGN(below, begin_below(n, as, k));
-        count = below;
+        count = below >= 0;
       } else if (count && !placing.beside.empty()) {
         count = corun_->beside(placing.beside, {at, emulated, core_now_});
       } else if (corun_) {
@@ -615,13 +615,16 @@ class Run {
       if (audit_) XAUTO_TRY(audit_->begin(at, emulated));
       {
         const Guard lock(mutex_);
-        exec_of_ = where;
+        exec_of_ = below < 0
+                       ? where
+                       : where + ", or of '" + graph_.nodes[static_cast<std::size_t>(below)].name +
+                             "' below it,";
         exec_since_ns_ = now_ns();
       }
       const std::int64_t before = now_ns();
       const Status ran = exec_here(*as.impl, active_[n], state, input, where);
       const std::int64_t us = (now_ns() - before + 999) / 1000;
-      if (below) XAUTO_TRY(end_below(n));
+      if (below >= 0) XAUTO_TRY(end_below(n));
       XAUTO_TRY(ran);
       {
         const Guard lock(mutex_);

@@ -187,6 +187,7 @@ class Regulated(unittest.TestCase):
             report = self.report(run, name)
             self.assertEqual(report["lost_activations"], 0)
             self.assertGreater(report["chains"][0]["results"], 10)
+            self.assertIn("nobody tells their jobs from strangers", report["claims"]["not_watched"])
 
     def test_who_overruns_ten_times_is_late_alone(self):
         """With `--trust nobody`, of one user. What is late is told by half of the results: this machine may stall."""
