@@ -144,7 +144,7 @@ std::string independence_of(const AppSpec& app, const Platform& platform, const 
   for (const std::string& type : loads_not_stated(app, platform, policy))
     types += (types.empty() ? "" : ", ") + type;
   if (types.empty()) return {};
-  return "XPUs are independent: app.json states no times beside a load of " + types +
+  return "XPUs are independent: of some XNodes app.json states no time beside a load of " + types +
          " (`xauto profile --contended` measures them)";
 }
 
