@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <set>
 #include <string_view>
 
@@ -585,7 +586,8 @@ Result<Problem> Problem::create(const AppSpec& stated, const Platform& platform,
                                 const Beside& beside) {
   XAUTO_TRY(validate(stated));
   // Other apps may be on every XPU at any time.
-  const AppSpec app = beside.nobody() ? stated : at_longest(stated);
+  std::optional<AppSpec> longest;
+  const AppSpec& app = beside.nobody() ? stated : longest.emplace(at_longest(stated));
   if (!beside.nobody()) XAUTO_TRY(has_demand(app));
   for (const Demand& demand : beside.demands) {
     XAUTO_TRY(validate(demand));

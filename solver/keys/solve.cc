@@ -494,9 +494,13 @@ class Solving {
   /// `least`: of all that were found what has the least of the largest.
   void tell_policy(Candidate& best, const Candidate& least) {
     answer_.outcome = Outcome::kPolicy;
-    Problem counted = of();
-    count_wcets(counted, best.decision.xpu,
-                counted_wcets(counted, best.decision.xpu, best.figures.w));
+    std::optional<Problem> with_counted;  // a large one is copied only where that matters
+    if (p_.contended) {
+      with_counted = of();
+      count_wcets(*with_counted, best.decision.xpu,
+                  counted_wcets(of(), best.decision.xpu, best.figures.w));
+    }
+    const Problem& counted = with_counted ? *with_counted : of();
     // Predicted times are those of one schedule; domains that share XPUs have none in common.
     const bool predicted =
         p_.domains.size() == 1 && !p_.any_urgent && options_.beside.demands.empty() &&
