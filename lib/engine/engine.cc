@@ -8,6 +8,7 @@
 
 #include "account/routes.h"
 #include "base/log.h"
+#include "model/contention.h"
 #include "processes/board_account.h"
 #include "processes/mode.h"
 #include "processes/parameters.h"
@@ -19,6 +20,17 @@ namespace {
 /// Of a job in the trace: about 8, more when it is preempted.
 constexpr double kEventsPerJob = 24;
 constexpr std::uint64_t kMinTraceEvents = 1u << 12, kMaxTraceEvents = 1u << 22;  ///< 32 bytes each
+
+/// Of an XNode of the app that is run by one policy.
+bool counts_less_than_longest(const Session& session, const std::string& xnode) {
+  const int i = session.app.find(xnode);
+  if (i < 0 || session.tables || !session.keys) return false;
+  const Placement& placed = session.keys->placements[static_cast<std::size_t>(i)];
+  return placed.wcet_us &&
+         *placed.wcet_us <
+             longest_wcet(session.app.xnodes[static_cast<std::size_t>(i)],
+                          session.platform.xpus[static_cast<std::size_t>(placed.xpu)].type);
+}
 
 /// Every XNode as often as the fastest source releases. In lockstep, or when an input is replayed
 /// faster, the trace goes back less far than was asked for; reports say how far.
@@ -76,6 +88,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
       name_line(board.xnode(n).name, node.name);
       name_line(board.xnode(n).module,
                 e.graph_.modules[static_cast<std::size_t>(node.module)].name);
+      board.xnode(n).kept_apart = counts_less_than_longest(session, node.name);
     }
   if (e.role_->leads())
     for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {

@@ -12,6 +12,7 @@
 
 #include "base/index.h"
 #include "base/utf8.h"
+#include "model/contention.h"
 #include "model/loss.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
@@ -82,6 +83,20 @@ void add_wcets(Fnv& fnv, const std::map<std::string, std::int64_t, std::less<>>&
   for (const auto& [type, us] : wcet_us) {
     fnv.add(type);
     fnv.add(us);
+  }
+}
+
+/// In any order. Without any the hash is that of files written before there were some.
+void add_beside(Fnv& fnv, std::vector<BesideSpec> beside) {
+  std::sort(beside.begin(), beside.end(), [](const BesideSpec& a, const BesideSpec& b) {
+    return std::tie(a.on, a.load) < std::tie(b.on, b.load);
+  });
+  fnv.add("beside");
+  fnv.add(static_cast<std::int64_t>(beside.size()));
+  for (const BesideSpec& b : beside) {
+    fnv.add(b.on);
+    add_wcets(fnv, b.load);
+    fnv.add(b.wcet_us);
   }
 }
 
@@ -270,6 +285,7 @@ std::string AppSpec::hash() const {
     fnv.add(x.name);
     fnv.add(x.module);
     add_wcets(fnv, x.wcet_us);
+    if (!x.beside.empty()) add_beside(fnv, x.beside);
   }
   std::vector<std::pair<int, int>> sorted = edges;
   std::sort(sorted.begin(), sorted.end());
@@ -364,6 +380,7 @@ Status validate_xnodes(const AppSpec& app) {
                         " is not a WCET from 1 to " + std::to_string(kMaxTimeUs) + " us",
                     where + "/wcet_us/" + type);
     }
+    XAUTO_TRY(validate_beside(x, where + "/beside"));
   }
   return {};
 }
@@ -427,12 +444,13 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
                     platform.name + "' lacks",
                 "/xnodes/" + std::to_string(i) + "/wcet_us");
   }
+  XAUTO_TRY(validate_beside_on(app, platform));
   std::int64_t switch_us = 0, total = 0;
   for (const Xpu& xpu : platform.xpus)
     if (xpu.preemptive) switch_us = std::max(switch_us, xpu.preempt_us);
   for (const XNodeSpec& x : app.xnodes) {
     std::int64_t longest = 0;
-    for (const std::string& type : types) longest = std::max(longest, x.wcet_on(type).value_or(0));
+    for (const std::string& type : types) longest = std::max(longest, longest_wcet(x, type));
     total += longest + switch_us;  // at most 2 * 10^12 each, 20 000 of them
   }
   // What delays a release without occupying an XPU: at most 10^12 each, 2 000 000 of them.

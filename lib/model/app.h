@@ -21,6 +21,15 @@ namespace xauto {
 /// XPU type, of those in wcet_us -> execution time in us that is usual there, at most the WCET.
 using TypicalTimes = std::map<std::string, std::int64_t, std::less<>>;
 
+/// What an XNode takes on XPUs of type `on` beside a load: while jobs run on so many others of each type, and on no more.
+/// It is no longer beside less.
+struct BesideSpec {
+  std::string on;                                         ///< of those in wcet_us
+  std::map<std::string, std::int64_t, std::less<>> load;  ///< XPU type -> XPUs, 1..kMaxXpus
+  std::int64_t wcet_us = 0;                               ///< at least wcet_us on that type
+  bool operator==(const BesideSpec&) const = default;
+};
+
 /// Another implementation of an XNode: less work for a result of less quality.
 struct VariantSpec {
   std::string name;
@@ -45,6 +54,9 @@ struct XNodeSpec {
   /// XPU type, of those in wcet_us -> what `init` added to the process's resident memory when it was measured.
   std::map<std::string, std::int64_t, std::less<>> memory_kb = {};
   TypicalTimes typical_us = {};  ///< no policy depends on it
+  /// Where it states a type of load, wcet_us is what it takes without. Of others nothing is known: it is taken to be
+  /// as long beside them. contention.h reads it.
+  std::vector<BesideSpec> beside = {};
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   [[nodiscard]] int find_variant(std::string_view variant) const;  ///< index or -1
@@ -174,6 +186,7 @@ inline constexpr std::size_t kMaxAppChains = 20'000;
 inline constexpr std::size_t kMaxSamples = 200'000;
 inline constexpr std::size_t kMaxTransfers = 2'000'000;
 inline constexpr std::size_t kMaxVariants = 64;              ///< of one XNode
+inline constexpr std::size_t kMaxBeside = 256;               ///< of one XNode
 inline constexpr std::int64_t kMaxMemoryKb = 1'000'000'000;  ///< a TB: sums of all instances fit
 inline constexpr std::int64_t kMaxWeight = 1000;
 inline constexpr std::int64_t kMaxInFlight = 1000;

@@ -2,12 +2,17 @@
 #include "model/early_start.h"
 
 #include <algorithm>
+#include <cstdint>
+#include <functional>
 #include <map>
 #include <numeric>
+#include <set>
+#include <string>
 #include <string_view>
 
 #include "base/index.h"
 #include "model/components.h"
+#include "model/contention.h"
 
 namespace xauto {
 namespace {
@@ -88,6 +93,31 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
       if (!delayed) one.clear();
     }
   return planned;
+}
+
+std::vector<std::vector<int>> kept_apart(const AppSpec& app, const Platform& platform,
+                                         const Policy& policy) {
+  const std::size_t n = app.xnodes.size();
+  std::vector<std::vector<int>> apart(n);
+  const auto components = find_components(app);
+  if (!components || !policy.certified || policy.by_priority()) return apart;
+  const auto type = [&](std::size_t i) -> const std::string& {
+    return platform.xpus[at(policy.placements[i].xpu)].type;
+  };
+  std::vector<std::set<std::string, std::less<>>> counts(
+      n);  // loads that less than the longest is counted beside
+  for (std::size_t i = 0; i < n; ++i)
+    if (policy.placements[i].wcet_us.value_or(INT64_MAX) < longest_wcet(app.xnodes[i], type(i)))
+      counts[i] = stated_loads(app.xnodes[i], type(i));
+  const auto clock = [&](std::size_t i) {
+    return components->components[at(components->of[i])].clock;
+  };
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t u = 0; u < n; ++u)
+      if (policy.placements[i].xpu != policy.placements[u].xpu && clock(i) == clock(u) &&
+          (counts[i].contains(type(u)) || counts[u].contains(type(i))))
+        apart[i].push_back(static_cast<int>(u));
+  return apart;
 }
 
 }  // namespace xauto

@@ -24,4 +24,9 @@ struct PlannedStarts {
 [[nodiscard]] PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
                                               const Policy& policy);
 
+/// [xnode] The others, on other XPUs and of its clock, that it has to wait for where it starts early: the policy counts
+/// less for one of the two than it takes beside the other (Placement::wcet_us), since their windows keep them apart.
+[[nodiscard]] std::vector<std::vector<int>> kept_apart(const AppSpec& app, const Platform& platform,
+                                                       const Policy& policy);
+
 }  // namespace xauto

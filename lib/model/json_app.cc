@@ -51,12 +51,25 @@ void read_typical(const Reader& x, Implemented& into) {
   });
 }
 
+void read_beside(const Reader& x, XNodeSpec& into) {
+  if (!x.has("beside")) return;
+  x["beside"].each_element(kMaxBeside, [&](std::size_t, const Reader& b) {
+    BesideSpec beside{b["on"].text()};
+    b["load"].each_member(kMaxXpus, [&](const std::string& type, const Reader& xpus) {
+      beside.load[type] = xpus.integer(1, static_cast<std::int64_t>(kMaxXpus));
+    });
+    beside.wcet_us = b["wcet_us"].integer(1, kMaxTimeUs);
+    into.beside.push_back(std::move(beside));
+  });
+}
+
 void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeSpec spec{x["name"].text(), x["module"].text(), {}};
     spec.wcet_us = read_wcets(x["wcet_us"]);
     read_memory(x, spec);
     read_typical(x, spec);
+    read_beside(x, spec);
     spec.sources = read_heard(x, sources);
     if (x.has("real_on"))
       x["real_on"].each_element(kMaxXpus, [&](std::size_t, const Reader& type) {
@@ -282,6 +295,9 @@ ordered_json xnodes_to_json(const AppSpec& app) {
     ordered_json xnode = {{"name", x.name}, {"module", x.module}};
     write_heard(x.sources, app.sources, xnode);
     xnode["wcet_us"] = ordered_json(x.wcet_us);
+    for (const BesideSpec& b : x.beside)
+      xnode["beside"].push_back(
+          {{"on", b.on}, {"load", ordered_json(b.load)}, {"wcet_us", b.wcet_us}});
     if (!x.typical_us.empty()) xnode["typical_us"] = ordered_json(x.typical_us);
     if (!x.real_on.empty()) xnode["real_on"] = x.real_on;
     if (!x.memory_kb.empty()) xnode["memory_kb"] = ordered_json(x.memory_kb);

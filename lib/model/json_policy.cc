@@ -49,7 +49,7 @@ void read_urgency(const Reader& x, Placement& p) {
     p.hold_us = read_series(x, "hold_us", false);
     return;
   }
-  for (const char* key : {"key_us", "hold_us", "start_us", "finish_us"})
+  for (const char* key : {"key_us", "hold_us", "start_us", "finish_us", "wcet_us"})
     if (x.has(key))
       return x[key].refuse("stands beside a priority, of which no time is known",
                            "give the XNode a priority, or keys and their times");
@@ -108,6 +108,7 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
         if (p.priority) return;
         p.start_us = read_series(x, "start_us", false);
         p.finish_us = read_series(x, "finish_us", false);
+        if (x.has("wcet_us")) p.wcet_us = x["wcet_us"].integer(1, kMaxTimeUs);
       });
   if (root.has("order")) policy.order = read_pairs(root["order"], index_by_name(app.xnodes));
   if (root.has("certified")) policy.certified = root["certified"].boolean();
@@ -181,6 +182,7 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
     if (!p.hold_us.empty()) xnode["hold_us"] = p.hold_us;
     if (!p.start_us.empty()) xnode["start_us"] = p.start_us;
     if (!p.finish_us.empty()) xnode["finish_us"] = p.finish_us;
+    if (p.wcet_us) xnode["wcet_us"] = *p.wcet_us;
     xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.policy"},    {"version", kAppVersion},

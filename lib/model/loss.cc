@@ -260,6 +260,7 @@ void take_variant(XNodeSpec& x, int variant) {
     x.wcet_us = x.variants[at(variant)].wcet_us;
     x.memory_kb = x.variants[at(variant)].memory_kb;
     x.typical_us = x.variants[at(variant)].typical_us;
+    x.beside.clear();
     std::erase_if(x.real_on, [&](const std::string& type) { return !x.wcet_us.contains(type); });
   }
   x.variants.clear();
@@ -302,6 +303,7 @@ AppSpec app_of_all_chains(const AppSpec& app, const Loss& loss) {
       left.xnodes[i].real_on.clear();
       left.xnodes[i].memory_kb.clear();
       left.xnodes[i].typical_us.clear();
+      left.xnodes[i].beside.clear();
     }
   }
   // Of types that are not there any more.

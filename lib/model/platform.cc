@@ -104,6 +104,8 @@ Status validate(const Platform& platform) {
     if (xpu.id.empty()) return fail(ErrorCode::kInvalid, "an XPU needs a name", at + "/id");
     if (xpu.type.empty())
       return fail(ErrorCode::kInvalid, "XPU '" + xpu.id + "' needs a type", at + "/type");
+    if (xpu.type == kEveryType)
+      return fail(ErrorCode::kInvalid, "'*' is no name of a type: it is all of them", at + "/type");
     if (!ids.insert(xpu.id).second)
       return fail(ErrorCode::kInvalid, "two XPUs are called '" + xpu.id + "'", at + "/id");
     const auto in_range = [](std::int64_t us, std::int64_t low) {

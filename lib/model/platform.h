@@ -69,6 +69,8 @@ inline constexpr const char* kPlatformNames =
 
 /// Limits of a platform file.
 inline constexpr std::size_t kMaxXpus = 256;
+/// The co-run class in which all types are loaded at once that can be (XNodeProfile::beside). No name of a type.
+inline constexpr const char* kEveryType = "*";
 inline constexpr int kMaxLevels = 1024;
 inline constexpr std::int64_t kMaxTimeUs =
     1'000'000'000'000;  ///< about 11 days; sums stay far from overflow

@@ -7,6 +7,7 @@
 
 #include "base/index.h"
 #include "model/components.h"
+#include "model/contention.h"
 #include "model/refusal.h"
 
 namespace xauto {
@@ -146,7 +147,7 @@ class Validation {
   }
   /// What a job has to have time for before its key: nothing where no key is a claim.
   [[nodiscard]] std::int64_t wcet(std::size_t i) const {
-    return !policy_.certified ? 0 : app_.xnodes[i].wcet_on(type(static_cast<int>(i))).value_or(0);
+    return !policy_.certified ? 0 : counted_wcet_us(app_, platform_, policy_, i);
   }
 
   [[nodiscard]] Status on_an_xpu(std::size_t i) const {
@@ -161,12 +162,30 @@ class Validation {
     return {};
   }
 
+  [[nodiscard]] Status counted(std::size_t i) const {
+    const Placement& p = policy_.placements[i];
+    const XNodeSpec& x = app_.xnodes[i];
+    const std::string& on = type(static_cast<int>(i));
+    const bool stated = policy_.certified && !stated_loads(x, on).empty();
+    if (p.wcet_us.has_value() != stated)
+      return invalid(who(i) + (stated ? "does not say which WCET is counted, and states several"
+                                      : "has a WCET here that nothing is claimed of"),
+                     place(i, "wcet_us"), kHint);
+    if (p.wcet_us && (*p.wcet_us < x.wcet_on(on).value_or(0) || *p.wcet_us > longest_wcet(x, on)))
+      return invalid(who(i) + "counts " + std::to_string(*p.wcet_us) + " us; the app states " +
+                         std::to_string(x.wcet_on(on).value_or(0)) + " to " +
+                         std::to_string(longest_wcet(x, on)) + " us",
+                     place(i, "wcet_us"), kHint);
+    return {};
+  }
+
   [[nodiscard]] Status arrays(std::size_t i) const {
     const Placement& p = policy_.placements[i];
     if (p.priority)
       return invalid(who(i) + "has a priority, and others have keys", place(i, "priority"),
                      "give each XNode a priority, or each keys");
     if (p.key_us.empty()) return invalid(who(i) + "has no key", place(i, "key_us"));
+    XAUTO_TRY(counted(i));
     const Component& component = components_.components[at(components_.of[i])];
     const auto size = static_cast<std::int64_t>(p.key_us.size());
     if (size > 1 && (component.activations == 0 || component.activations % size != 0))

@@ -28,6 +28,9 @@ struct Placement {
   std::vector<std::int64_t> hold_us = {};  ///< it does not start before; empty: it is not held
   /// Predicted, every job at its WCET; as many as keys, or empty: not known (several clocks).
   std::vector<std::int64_t> start_us = {}, finish_us = {};
+  /// What the proof counts for a job. It is there where the XNode states a WCET beside loads on the type of its XPU, and
+  /// is from that alone to the longest (contention.h). Not beside `priority`.
+  std::optional<std::int64_t> wcet_us = {};
   /// In place of all these, the same in every release: larger goes first. Of all XNodes, or of none; unique on each
   /// XPU.
   std::optional<std::int64_t> priority = {};

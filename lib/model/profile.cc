@@ -7,6 +7,7 @@
 
 #include "base/quantile.h"
 #include "model/components.h"
+#include "model/contention.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
 
@@ -275,6 +276,88 @@ Status can_be_planned(const Profile& profile) {
   return {};
 }
 
+namespace {
+
+const std::string& type_of(const Platform& platform, const std::string& id) {
+  return platform.xpus[static_cast<std::size_t>(platform.find(id))].type;
+}
+
+/// What becomes of the samples of one XNode.
+struct Statistics {
+  const Profile& profile;
+  const Platform& platform;
+  WcetFrom from;
+  const std::string& xnode;
+
+  [[nodiscard]] Result<std::int64_t> of(const std::string& id, const Samples& samples) const {
+    if (platform.find(id) < 0)
+      return fail(ErrorCode::kInvalid,
+                  "was measured on '" + id + "', which platform '" + platform.name + "' lacks",
+                  "XNode '" + xnode + "'", "use the platform that the profile was taken on");
+    if (from == WcetFrom::kP99 && samples.count < kP99Samples)
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(samples.count) + " samples have no p99: it takes " +
+                      std::to_string(kP99Samples),
+                  "XNode '" + xnode + "' on " + id, "profile with --repetitions 100 or more");
+    return std::max<std::int64_t>(statistic(samples, from, profile.margin_pct), 1);
+  }
+
+  template <class Implemented>
+  [[nodiscard]] Status take(const SamplesByXpu& on, Implemented& into) const {
+    for (const auto& [id, samples] : on) {
+      XAUTO_ASSIGN(const std::int64_t us, of(id, samples));
+      const std::string& type = type_of(platform, id);
+      if (samples.memory_kb)
+        into.memory_kb[type] = std::max(into.memory_kb[type], *samples.memory_kb);
+      std::int64_t& typical = into.typical_us[type];
+      typical = std::max({typical, samples.p50_us, std::int64_t{1}});
+      std::int64_t& wcet = into.wcet_us[type];
+      wcet = std::max(wcet, us);
+    }
+    return {};
+  }
+
+  /// Above a less urgent one on its own XPU it may be at any time: that is no load of another XPU.
+  [[nodiscard]] Status take_beside(const std::map<std::string, SamplesByXpu, std::less<>>& beside,
+                                   XNodeSpec& into) const {
+    std::map<std::pair<std::string, Load>, std::int64_t> longest;
+    std::map<std::string, Load, std::less<>>
+        every;  // XPU instance -> all that it was measured beside
+    for (const auto& [of_class, on] : beside)
+      for (const auto& [id, samples] : on) {
+        XAUTO_ASSIGN(const std::int64_t us, of(id, samples));
+        const std::string& type = type_of(platform, id);
+        const auto wcet = into.wcet_us.find(type);
+        if (wcet == into.wcet_us.end()) continue;  // never alone
+        const Xpu& xpu = platform.xpus[static_cast<std::size_t>(platform.find(id))];
+        if (of_class == kEveryType) continue;
+        if (of_class == type && xpu.levels > 0) {
+          wcet->second = std::max(wcet->second, us);
+          continue;
+        }
+        const auto loaded = static_cast<std::int64_t>(platform.instances_of(of_class).size()) -
+                            (of_class == type ? 1 : 0);
+        if (loaded < 1) continue;
+        every[id][of_class] = loaded;
+        std::int64_t& most = longest[{type, {{of_class, loaded}}}];
+        most = std::max(most, us);
+      }
+    if (const auto all = beside.find(kEveryType); all != beside.end())
+      for (const auto& [id, samples] : all->second) {
+        XAUTO_ASSIGN(const std::int64_t us, of(id, samples));
+        const std::string& type = type_of(platform, id);
+        if (!into.wcet_us.contains(type) || every[id].empty()) continue;
+        std::int64_t& most = longest[{type, every[id]}];
+        most = std::max(most, us);
+      }
+    for (const auto& [where, us] : longest)
+      into.beside.push_back({where.first, where.second, std::max(us, *into.wcet_on(where.first))});
+    return {};
+  }
+};
+
+}  // namespace
+
 Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from) {
   XAUTO_TRY(validate(profile));
   AppSpec app;
@@ -288,39 +371,17 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
           ErrorCode::kInvalid, "was not measured on any XPU", "XNode '" + x.name + "'",
           profile.incomplete.empty() ? "" : "the profile is incomplete: " + profile.incomplete);
     XNodeSpec spec{x.name, x.module, {}, x.sources};
-    const auto take = [&](const std::string& id, const Samples& samples, auto& into) -> Status {
-      const int xpu = platform.find(id);
-      if (xpu < 0)
-        return fail(ErrorCode::kInvalid,
-                    "was measured on '" + id + "', which platform '" + platform.name + "' lacks",
-                    "XNode '" + x.name + "'", "use the platform that the profile was taken on");
-      if (from == WcetFrom::kP99 && samples.count < kP99Samples)
-        return fail(ErrorCode::kInvalid,
-                    std::to_string(samples.count) + " samples have no p99: it takes " +
-                        std::to_string(kP99Samples),
-                    "XNode '" + x.name + "' on " + id, "profile with --repetitions 100 or more");
-      const std::string& type = platform.xpus[static_cast<std::size_t>(xpu)].type;
-      if (!samples.emulated && &into.wcet_us == &spec.wcet_us) spec.real_on.insert(type);
-      if (samples.memory_kb)
-        into.memory_kb[type] = std::max(into.memory_kb[type], *samples.memory_kb);
-      std::int64_t& typical = into.typical_us[type];
-      typical = std::max({typical, samples.p50_us, std::int64_t{1}});
-      std::int64_t& wcet = into.wcet_us[type];
-      wcet = std::max({wcet, statistic(samples, from, profile.margin_pct), std::int64_t{1}});
-      return {};
-    };
-    const auto take_all = [&](const auto& measured, auto& into) -> Status {
-      for (const auto& [id, samples] : measured.on) XAUTO_TRY(take(id, samples, into));
-      for (const auto& [beside, on] : measured.beside)
-        for (const auto& [id, samples] : on) XAUTO_TRY(take(id, samples, into));
-      return {};
-    };
-    XAUTO_TRY(take_all(x, spec));
+    const Statistics of{profile, platform, from, x.name};
+    XAUTO_TRY(of.take(x.on, spec));
+    XAUTO_TRY(of.take_beside(x.beside, spec));
     for (const VariantProfile& measured : x.variants) {
       VariantSpec variant{measured.name, measured.quality_pct, {}};
-      XAUTO_TRY(take_all(measured, variant));
+      XAUTO_TRY(of.take(measured.on, variant));
+      for (const auto& [beside, on] : measured.beside) XAUTO_TRY(of.take(on, variant));
       if (!variant.wcet_us.empty()) spec.variants.push_back(std::move(variant));
     }
+    for (const auto& [id, samples] : x.on)
+      if (!samples.emulated) spec.real_on.insert(type_of(platform, id));
     app.xnodes.push_back(std::move(spec));
   }
   for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});

@@ -75,8 +75,8 @@ struct XNodeProfile {
   SamplesByXpu on;                        ///< alone
   std::vector<int> sources = {};          ///< as XNodeSpec::sources
   std::vector<std::string> missing = {};  ///< XPU instances where it was to be measured and was not
-  /// Co-run class (the XPU type that a generator loads meanwhile) -> XPU instance id -> samples. Only
-  /// of `profile --contended`.
+  /// Co-run class (the XPU type that a generator loads meanwhile, or kEveryType) -> XPU instance id -> samples. Only
+  /// of `profile --contended`; on an XPU with levels its own type's also of the XNode above a less urgent one.
   std::map<std::string, SamplesByXpu, std::less<>> beside = {};
   std::vector<VariantProfile> variants = {};
   bool operator==(const XNodeProfile&) const = default;
@@ -147,9 +147,9 @@ struct Profile {
 enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 /// What is the WCET of these samples: see WcetFrom. The maximum is that without outliers.
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
-/// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes,
-/// and the longest median. `platform` gives each
-/// instance its type. A p99 needs kP99Samples.
+/// The app.json that follows: per XPU type the worst statistic of all instances, and the longest median; per co-run class
+/// what it is beside that (XNodeSpec::beside). Of variants the worst of all classes. `platform` gives each instance its
+/// type. A p99 needs kP99Samples.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
                                      WcetFrom from);
 

@@ -5,6 +5,7 @@
 #include <map>
 #include <set>
 
+#include "model/contention.h"
 #include "model/loss.h"
 
 namespace xauto {
@@ -186,7 +187,7 @@ Wcets larger(const Wcets& a, const Wcets& b) {
 }  // namespace
 
 AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
-  AppSpec scaled = app;
+  AppSpec scaled = at_longest(app);
   for (XNodeSpec& x : scaled.xnodes) {
     scale(scenario, in(scenario.wcet_us, x.name), x.wcet_us);
     const auto* of_variants = in(scenario.variant_wcet_us, x.name);
@@ -258,7 +259,8 @@ Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const 
                         "' was measured on other types of XPU, or in other variants, than in " +
                         profiles[0].name,
                     name, "measure all of them under the same platform");
-      scenario.wcet_us[x.name] = x.wcet_us;
+      for (const auto& [type, us] : x.wcet_us)
+        scenario.wcet_us[x.name][type] = longest_wcet(x, type);
       for (const VariantSpec& variant : x.variants)
         scenario.variant_wcet_us[x.name][variant.name] = variant.wcet_us;
     }

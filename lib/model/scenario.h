@@ -65,7 +65,7 @@ inline constexpr std::int64_t kMaxScalePct = 100'000;
                               const Platform& platform, const std::string& at = "/scenarios");
 
 /// What is to be scheduled under a scenario, and on what: other WCETs, the lost XPUs left out. Of
-/// what `validate` has passed.
+/// what `validate` has passed. Where loads are stated, a scenario scales the longest (at_longest).
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario);
 [[nodiscard]] Platform platform_under(const Platform& platform, const Scenario& scenario);
 

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "base/index.h"
+#include "model/contention.h"
 #include "model/demand.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
@@ -93,7 +94,7 @@ Result<AppSpec> merge_apps(const std::vector<AppSpec>& apps) {
                   "give one of them another name");
     XAUTO_TRY(has_demand(app));
     all.name += (all.name.empty() ? "" : " + ") + app.name;
-    Adding(app, all).add();
+    Adding(at_longest(app), all).add();
   }
   XAUTO_TRY(validate(all));
   return all;
@@ -125,7 +126,10 @@ Result<Policy> merge_policies(const std::vector<AppSpec>& apps, const AppSpec& m
     if (!policy.certified || policy.by_priority())
       return fail(ErrorCode::kInvalid, "is not certified: nothing is claimed beside it",
                   "the policy of app " + quoted(apps[a].name), "solve again");
-    all.placements.insert(all.placements.end(), policy.placements.begin(), policy.placements.end());
+    for (Placement placed : policy.placements) {
+      placed.wcet_us.reset();  // beside others the longest counts
+      all.placements.push_back(std::move(placed));
+    }
     for (ChainClaim claim : policy.chains) {
       claim.name = name_together(apps[a].name, claim.name);
       all.chains.push_back(std::move(claim));
@@ -137,7 +141,8 @@ Result<Policy> merge_policies(const std::vector<AppSpec>& apps, const AppSpec& m
   return all;
 }
 
-std::vector<Policy> split_policy(const std::vector<AppSpec>& apps, const Policy& policy) {
+std::vector<Policy> split_policy(const std::vector<AppSpec>& apps, const Platform& platform,
+                                 const Policy& policy) {
   if (apps.size() == 1) return {policy};
   std::vector<Policy> parts;
   std::size_t xnode = 0, chain = 0;
@@ -150,7 +155,13 @@ std::vector<Policy> split_policy(const std::vector<AppSpec>& apps, const Policy&
     part.certified = policy.certified;
     part.solve_us = policy.solve_us;
     const auto first = static_cast<int>(xnode), last = first + static_cast<int>(app.xnodes.size());
-    for (; at(last) > xnode; ++xnode) part.placements.push_back(policy.placements[xnode]);
+    for (; at(last) > xnode; ++xnode) {
+      Placement& placed = part.placements.emplace_back(policy.placements[xnode]);
+      const XNodeSpec& spec = app.xnodes[xnode - at(first)];
+      const std::string& on = platform.xpus[at(placed.xpu)].type;
+      if (policy.certified && !policy.by_priority() && !stated_loads(spec, on).empty())
+        placed.wcet_us = longest_wcet(spec, on);
+    }
     for (std::size_t c = 0; c < app.chains.size() && !policy.chains.empty(); ++c, ++chain) {
       part.chains.push_back(policy.chains[chain]);
       part.chains.back().name = app.chains[c].name;

@@ -21,7 +21,8 @@ inline constexpr std::size_t kMaxTogether = 64;
 [[nodiscard]] std::string name_together(const std::string& app, const std::string& name);
 
 /// XNodes, sources, chains, ... of the first app, then of the next one. kInvalid: two apps have one name; one of
-/// several has sources without a rate: it releases as soon as it can, so no demand bounds it.
+/// several has sources without a rate: it releases as soon as it can, so no demand bounds it. Of several the longest WCETs
+/// count, whatever they state beside loads.
 [[nodiscard]] Result<AppSpec> merge_apps(const std::vector<AppSpec>& apps);
 
 /// [xnode of merge_apps] index into `apps`.
@@ -33,6 +34,6 @@ inline constexpr std::size_t kMaxTogether = 64;
 
 /// The other way: [app] what `policy`, of `merged`, says of its XNodes and chains.
 [[nodiscard]] std::vector<Policy> split_policy(const std::vector<AppSpec>& apps,
-                                               const Policy& policy);
+                                               const Platform& platform, const Policy& policy);
 
 }  // namespace xauto

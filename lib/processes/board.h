@@ -182,6 +182,8 @@ enum class Ordered : std::uint32_t {
 /// Jobs of one XNode that has limits (session/limits.h), and how urgent they are (prio.h).
 struct alignas(64) XNodeLine {
   char name[kBoardNameBytes] = {}, module[kBoardNameBytes] = {};  ///< [H] before the run
+  /// [H] before the run: its WCET is that beside fewer loaded XPUs than app.json states one for (Placement::wcet_us).
+  bool kept_apart = false;
   // [M]; overruns: of the budget
   std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};
   std::atomic<std::int64_t> longest_ns{};  ///< [M]

@@ -145,9 +145,10 @@ class Watched {
     }
     if (worst != nullptr)
       of_wcets.insert(of_wcets.begin(),
-                      fmt::format("{} of {} jobs outran {}, {} by {:.3f} ms", over, jobs,
+                      fmt::format("{} of {} jobs outran {}, {} by {:.3f} ms{}", over, jobs,
                                   tables() ? "the WCET of their scenario" : "their WCET",
-                                  line_name(worst->name), in_ms(worst->over_ns.load() / 1000)));
+                                  line_name(worst->name), in_ms(worst->over_ns.load() / 1000),
+                                  words_of_apart(*worst)));
     // Where nothing is claimed nobody looks.
     if (account_.claims() || tables())
       account_.add("wcet_overrun", over + unended, std::move(of_wcets));
@@ -183,10 +184,16 @@ class Watched {
     return "XNode '" + line_name(line.name) + "' of XModule '" + line_name(line.module) + "'";
   }
   static std::string words_of_unended(const XNodeLine& line, std::uint32_t jobs) {
-    return fmt::format("{}{} {} run for {:.2f} ms and {} not ended; its WCET is {:.2f} ms",
+    return fmt::format("{}{} {} run for {:.2f} ms and {} not ended; its WCET is {:.2f} ms{}",
                        jobs > 1 ? fmt::format("{} jobs of ", jobs) : "", of_module(line),
                        jobs > 1 ? "have" : "has", in_ms(line.unended_ns.load() / 1000),
-                       jobs > 1 ? "have" : "has", in_ms(line.unended_wcet_ns.load() / 1000));
+                       jobs > 1 ? "have" : "has", in_ms(line.unended_wcet_ns.load() / 1000),
+                       words_of_apart(line));
+  }
+  static const char* words_of_apart(const XNodeLine& line) {
+    return line.kept_apart
+               ? "; that counts on it that the plan keeps it apart from jobs on other XPUs"
+               : "";
   }
   static std::string words_of_hangs(const XNodeLine& line, std::uint64_t jobs) {
     return fmt::format("{} job{} of {} ran past {} hang limit", jobs, jobs > 1 ? "s" : "",

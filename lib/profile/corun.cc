@@ -262,6 +262,17 @@ Result<std::unique_ptr<Load>> load_by_the_app(const Session& session, int xpu,
 std::set<Corun::Loaded> Corun::loaded_by(const std::string& type, const Stage& stage) {
   thread_.check();
   std::set<Loaded> loaded;
+  if (type == kEveryType) {
+    std::size_t types = 0;
+    for (const std::string& each : session_.platform.types()) {
+      const std::set<Loaded> of_type = loaded_by(each, stage);
+      types += of_type.empty() ? 0 : 1;
+      loaded.insert(of_type.begin(), of_type.end());
+    }
+    if (types >= 2) return loaded;
+    why_not_[type] = "no two types can be loaded at once";
+    return {};
+  }
   const std::vector<Xpu>& xpus = session_.platform.xpus;
   if (!stage.emulated && type == "cpu") {
     for (const int core : cores_)
@@ -301,7 +312,7 @@ bool Corun::beside(const std::string& type, const Stage& stage) {
     rest();
     return false;
   }
-  what_[type].insert(loaded.begin()->kind);
+  for (const Loaded& one : loaded) what_[type].insert(one.kind);
   return true;
 }
 
@@ -332,7 +343,9 @@ std::string Corun::failure(const std::string& type) const {
   for (const auto& [one, why] : failed_) {
     const bool core = one.kind == Loaded::Kind::kCore;
     const std::vector<Xpu>& xpus = session_.platform.xpus;
-    if (core ? type == "cpu" : xpus[static_cast<std::size_t>(one.number)].type == type) return why;
+    if (type == kEveryType ||
+        (core ? type == "cpu" : xpus[static_cast<std::size_t>(one.number)].type == type))
+      return why;
   }
   return {};
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Co-runs: what the profiler has work on the other XPUs while it times an XNode, because all XPUs of an
 // SoC share its memory. A co-run class is a type of XPU, and all XPUs of that type but the XNode's own
-// are loaded at once:
+// are loaded at once; or all types together (kEveryType), of a stage that two or more can be loaded beside:
 //
 //   emulated     jobs without a pause on each, which load the memory as far as the emulation script says
 //   real cores   a thread on each core, which reads and writes more than the caches hold
@@ -11,7 +11,7 @@
 // A stand-in's time does not depend on real memory, and real memory is not loaded by a stand-in: so
 // emulated stages are measured beside emulated XPUs, real ones beside real ones.
 //
-// What it does not cover: several classes at once; another access pattern than the load's, which may
+// What it does not cover: another access pattern than the load's, which may
 // hit the XNode's cache lines or memory banks harder; the moment of an app's own XNode that loads the
 // memory most, unless it coincides with a repetition; engines that are no XPU (video, display, DMA).
 #pragma once

@@ -365,6 +365,7 @@ class Run {
     for (const Xpu& x : session_.platform.xpus)
       if (std::find(classes.begin(), classes.end(), x.type) == classes.end())
         classes.push_back(x.type);
+    if (classes.size() > 2) classes.emplace_back(kEveryType);
     return classes;
   }
 
@@ -486,7 +487,9 @@ class Run {
         newest_ = std::move(messages);
         if (now_ns() - told > 1'000'000'000) {
           log::info("profile: {} of {} releases{}", done, total,
-                    beside.empty() ? "" : ", beside " + beside);
+                    beside.empty()         ? ""
+                    : beside == kEveryType ? ", beside all"
+                                           : ", beside " + beside);
           look_at_machine();
           told = now_ns();
         }

@@ -43,6 +43,7 @@ Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const P
       of.ppm = app.clocks[at(spec.clock)].ppm;
       of.clock = at(spec.clock);
     }
+  const std::vector<std::vector<int>> apart = kept_apart(app, platform, policy);
   for (std::size_t x = 0; x < n; ++x) {
     auto& sources = e.sources_.emplace_back();
     std::int64_t by_us =
@@ -63,10 +64,12 @@ Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const P
         if (y != x && policy.placements[y].xpu == on) rule.mates.push_back(static_cast<int>(y));
     for (const auto& [u, v] : app.samples)
       if (at(v) == x) rule.samples.push_back({u, home(at(u)).clock == home(x).clock});
+    rule.apart = apart[x];
     const auto looks_at = [&](int y) {
       auto& lookers = e.lookers_[at(y)];
       if (lookers.empty() || lookers.back() != x) lookers.push_back(x);
     };
+    for (const int y : rule.apart) looks_at(y);
     for (const int y : rule.mates) looks_at(y);
     for (const EarlyRule::Sample& sample : rule.samples) looks_at(sample.xnode);
   }

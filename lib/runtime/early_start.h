@@ -40,6 +40,7 @@ struct EarlyRule {
   /// The others on its XPU; none where taking it from another costs nothing.
   std::vector<int> mates;
   std::vector<Sample> samples;  ///< what it reads
+  std::vector<int> apart;       ///< those on other XPUs that the plan keeps it apart from
   bool never = false;           ///< it waits to the end
 };
 
@@ -61,6 +62,8 @@ template <class Of>
   if (rule.never) return false;
   for (const int x : rule.mates)
     if (first_open(x).key <= job.key) return false;
+  for (const int x : rule.apart)
+    if (first_open(x).key <= job.start_ns) return false;
   for (const EarlyRule::Sample& sample : rule.samples) {
     const FirstOpen open = first_open(sample.xnode);
     // Of another clock all that is released before the planned start, be it now or not.

@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "base/log.h"
+#include "model/contention.h"
 
 namespace xauto::runtime {
 
@@ -21,8 +22,10 @@ HeldUp::HeldUp(const Context& context, const Placing& placing)
       const auto at = static_cast<std::size_t>(placing.xpu[t][n]);
       const Xpu& xpu = session.platform.xpus[at];
       wcet_ns_[session.task(t, xnode_[n])] =
-          wcet_of(session.app.xnodes[xnode_[n]], session.variant_of(t, xnode_[n]), xpu.type)
-              .value_or(0) *
+          (by_keys_ && !session.tables
+               ? counted_wcet_us(session.app, session.platform, *session.keys, xnode_[n])
+               : wcet_of(session.app.xnodes[xnode_[n]], session.variant_of(t, xnode_[n]), xpu.type)
+                     .value_or(0)) *
           1000;
       const auto address = session.coordinators.find(xpu.id);
       if (xpus_[at] || address == session.coordinators.end()) continue;

@@ -12,6 +12,7 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "model/claims.h"
+#include "model/contention.h"
 #include "session/claimed_wcets.h"
 #include "session/notes.h"
 #include "xpu/kind.h"
@@ -242,11 +243,12 @@ Limits Placing::limits_of(const Session& session, const AppSpec& app, const Grap
   const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
   const auto module = static_cast<std::size_t>(graph.nodes[node].module);
   const int variant = session.variant_of(table, xnode[node]);
-  Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name,
-                             wcet_of(app.xnodes[xnode[node]], variant, type).value_or(0));
-  if (claims_worst_case(session))
-    of_job.wcet_ns =
-        watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));
+  const std::int64_t wcet_us =
+      session.scheduling == Scheduling::kXAuto && session.keys && !session.tables
+          ? counted_wcet_us(session.app, session.platform, *session.keys, xnode[node])
+          : wcet_of(app.xnodes[xnode[node]], variant, type).value_or(0);
+  Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name, wcet_us);
+  if (claims_worst_case(session)) of_job.wcet_ns = watched_ns(wcet_us, session.emulated(at));
   return of_job;
 }
 

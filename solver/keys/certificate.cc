@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <functional>
 
+#include "solver/keys/contention.h"
+
 namespace xauto::solver::keys {
 namespace {
 
@@ -273,6 +275,12 @@ bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::str
              const Until& until) {
   w.a.resize(at(p.num_slots));
   for (std::size_t d = 0; d < p.domains.size(); ++d) derive_ready(p, static_cast<int>(d), xpu, w);
+  if (p.contended) {
+    Problem counted = p;
+    count_wcets(counted, xpu, counted_wcets(p, xpu, w));
+    counted.contended = false;
+    return certify(counted, xpu, w, why, until);
+  }
   if (!sane(p, xpu, w, why)) return false;
   Windows u;
   derive_urgent(p, xpu, w, u);

@@ -35,7 +35,7 @@ namespace xauto::solver::keys {
                                bool shared, const Windows& w, const Windows& u,
                                const Charges& charges, std::string* why = nullptr);
 
-/// d and hold of `w` are given (by slot), the rest is derived. False, with `why` (may be null): an
+/// d and hold of `w` are given (by slot), the rest is derived, WCETs that contention counts too. False, with `why` (may be null): an
 /// XPU and what is wrong, or that the time is over.
 [[nodiscard]] bool certify(const Problem& problem, const std::vector<int>& xpu, Windows& w,
                            std::string* why = nullptr, const Until& until = {});

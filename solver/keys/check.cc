@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include "model/contention.h"
 #include "solver/keys/check_chains.h"
 #include "solver/keys/check_load.h"
 #include "solver/keys/check_world.h"
@@ -80,7 +81,8 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
                 "policy", "`xauto solve` says what would make it certified");
   CheckReport report;
   XAUTO_ASSIGN(const checking::Ticks ticks, checking::ticks_beside(app, platform, beside));
-  const Result<checking::World> derived = checking::derive(app, platform, policy, true, ticks);
+  const Result<checking::World> derived =
+      checking::derive(app, platform, policy, true, ticks, !beside.nobody());
   if (!derived) {
     XAUTO_TRY(checking::keep_lie(derived.error(), report));
     return report;
@@ -135,6 +137,8 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
     checking::compare(policy.chains[k], proof, report);
     report.chains.push_back(std::move(proof));
   }
+  if (std::string line = independence_of(app, platform, policy); !line.empty())
+    report.taken.push_back(std::move(line));
   // Chains follow from keys that are kept.
   if (std::ranges::any_of(report.xpus, [](const XpuProof& proof) { return proof.kind.empty(); })) {
     report.chains.clear();
@@ -180,7 +184,7 @@ Status check_together(const std::vector<Demand>& demands) {
 
 Result<Demand> demand_of(const AppSpec& app, const Platform& platform, const Policy& policy) {
   XAUTO_TRY(has_demand(app));
-  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false));
+  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false, 1, true));
   Demand demand;
   demand.ticks_per_us = w.scale;
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
@@ -194,7 +198,7 @@ Result<Demand> demand_of(const AppSpec& app, const Platform& platform, const Pol
 Result<std::vector<SporadicNeed>> sporadic_needs_of(const AppSpec& app, const Platform& platform,
                                                     const Policy& policy) {
   XAUTO_TRY(has_demand(app));
-  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false));
+  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy, false, 1, true));
   constexpr __int128 kNsPerUs = 1000;
   std::vector<SporadicNeed> needs;
   for (int i = 0; i < static_cast<int>(app.xnodes.size()); ++i) {

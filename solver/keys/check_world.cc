@@ -9,6 +9,8 @@
 
 #include <fmt/format.h>
 
+#include "solver/keys/check_contention.h"
+
 namespace xauto::solver::keys::checking {
 
 Ticks floor_div(__int128 a, Ticks b) {
@@ -137,7 +139,18 @@ Status set_scale(World& w, bool fine) {
   for (std::size_t i = 0; i < w.policy.placements.size(); ++i) {
     const Placement& p = w.policy.placements[i];
     const Xpu& xpu = w.platform.xpus[at(p.xpu)];
-    const std::int64_t wcet = w.app.xnodes[i].wcet_us.find(xpu.type)->second;
+    // Where several are stated, and the policy says nothing, it is the longest.
+    const XNodeSpec& x = w.app.xnodes[i];
+    const std::int64_t alone = x.wcet_us.find(xpu.type)->second;
+    std::int64_t most_us = alone;
+    for (const BesideSpec& beside : x.beside)
+      if (beside.on == xpu.type) most_us = std::max(most_us, beside.wcet_us);
+    const std::int64_t wcet = p.wcet_us.value_or(most_us);
+    if (wcet < alone || wcet > most_us)
+      return fail(
+          ErrorCode::kInfeasible,
+          fmt::format("{} us are counted; the app states {} to {} us", wcet, alone, most_us),
+          "XNode '" + x.name + "'");
     longest = std::max({longest, wcet + xpu.preempt_us, std::ranges::max(p.key_us)});
     if (!p.hold_us.empty()) longest = std::max(longest, std::ranges::max(p.hold_us));
     w.wcet.push_back(wcet);
@@ -548,10 +561,11 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const Poli
 }
 
 Result<World> derive(const AppSpec& app, const Platform& platform, const Policy& policy, bool fine,
-                     Ticks multiple_of) {
+                     Ticks multiple_of, bool others) {
   XAUTO_ASSIGN(World w, structure(app, platform, policy, fine, multiple_of));
   XAUTO_TRY(world::set_windows(w));
   XAUTO_TRY(world::set_urgent(w));
+  XAUTO_TRY(prove_counted(w, others));
   return w;
 }
 

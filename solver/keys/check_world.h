@@ -63,8 +63,8 @@ struct World {
   std::vector<int> module_of;                   ///< [xnode]
   std::vector<char> entry;                      ///< [xnode] has no predecessor inside its module
   std::vector<int> order;                       ///< topological, by all that waits
-  std::vector<Ticks> wcet;                      ///< [xnode] on its XPU, no preemption charged
-  std::vector<std::vector<Window>> windows;     ///< [xnode][activation mod classes]
+  std::vector<Ticks> wcet;  ///< [xnode] on its XPU, as the policy counts it; no preemption charged
+  std::vector<std::vector<Window>> windows;  ///< [xnode][activation mod classes]
   /// The same in an urgent release; empty where an XNode does not hear of an urgent source.
   std::vector<std::vector<Window>> urgent;
   std::vector<char> hears_urgent;  ///< [xnode] of its component's urgent source, by edges
@@ -115,10 +115,11 @@ inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 
 /// All but the windows, which only a policy has that holds. `fine`: in ticks in which drift, too, is
 /// exact, where they fit.
-/// `multiple_of`: the ticks of a microsecond are a multiple of that.
+/// `multiple_of`: the ticks of a microsecond are a multiple of that. `others`: other apps may be on the XPUs.
 [[nodiscard]] Result<World> structure(const AppSpec& app, const Platform& platform,
                                       const Policy& policy, bool fine, Ticks multiple_of = 1);
 [[nodiscard]] Result<World> derive(const AppSpec& app, const Platform& platform,
-                                   const Policy& policy, bool fine = true, Ticks multiple_of = 1);
+                                   const Policy& policy, bool fine = true, Ticks multiple_of = 1,
+                                   bool others = false);
 
 }  // namespace xauto::solver::keys::checking

@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "solver/keys/chains.h"
+#include "solver/keys/contention.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -14,6 +15,8 @@ namespace {
 constexpr int kMostTries = 12;
 /// ... so its pad is for windows that are deeper by this part of them.
 constexpr Tick kPartOfDepth = 8;
+/// Rounds in which those who meet somebody take longer, before everybody takes the longest. Seldom more than three.
+constexpr int kMostCounts = 12;
 /// Releases of ways that are followed before the time is looked at.
 constexpr std::size_t kStepsAtOnce = 1 << 16;
 /// Overload that is rounding.
@@ -59,7 +62,9 @@ bool Goal::better(const Figures& a, const Figures& b) const {
 }
 
 Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
-    : p_(problem), reference_(reference) {
+    : counted_(problem.contended ? std::make_unique<Problem>(problem) : nullptr),
+      p_(counted_ != nullptr ? *counted_ : problem),
+      reference_(reference) {
   const auto scratch = std::make_shared<Exhibitor::Scratch>();
   for (std::size_t d = 0; d < p_.domains.size(); ++d) exhibitors_.emplace_back(p_, scratch);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
@@ -292,7 +297,7 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
       const std::size_t m = at(decision.xpu[at(i)]);
       const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0 ||
                          decision.held[at(i)] != 0 || p_.levels[m] != kAnyLevels ||
-                         p_.preempt[m] > 0;
+                         p_.preempt[m] > 0 || p_.contended;
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
         const std::size_t s = at(p_.slot[at(i)] + n);
         out.w.hold[s] = holds ? out.schedule.start[s] / p_.scale * p_.scale : 0;
@@ -307,8 +312,32 @@ bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until)
   return false;
 }
 
+/// What jobs meet depends on their windows, and these on what they take. It begins with what they take alone: who meets
+/// somebody takes longer from then on, whether he still does or not.
 bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures& out,
                          const Until& until) {
+  if (counted_ == nullptr) return simulate_counted(decision, keys, out, until);
+  std::vector<Tick> counted = least_counted(p_, decision.xpu);
+  for (int k = 0;; ++k) {
+    if (k == kMostCounts) counted = most_counted(p_, decision.xpu);
+    count_wcets(*counted_, decision.xpu, counted);
+    if (!simulate_counted(decision, keys, out, until)) return false;
+    const std::vector<Tick> next = counted_wcets(p_, decision.xpu, out.w);
+    bool more = false;
+    for (std::size_t i = 0; i < next.size(); ++i) {
+      more = more || next[i] > counted[i];
+      counted[i] = std::max(counted[i], next[i]);
+    }
+    if (!more) return true;
+    if (until.over()) {
+      out.cost = kEndless * kInvalidCost;
+      return false;
+    }
+  }
+}
+
+bool Evaluator::simulate_counted(const Decision& decision, const Figures* keys, Figures& out,
+                                 const Until& until) {
   out.simulated = false;
   out.w.a.resize(at(p_.num_slots));
   out.w.d.resize(at(p_.num_slots));
@@ -421,8 +450,9 @@ void Evaluator::evaluate(const Decision& decision, double most, Figures& out, co
   ++evaluations_;
   set_limits(most);
   most_ = most;
-  base_ = base;
-  base_figures_ = base_figures;
+  // What a base has may be of other WCETs.
+  base_ = counted_ == nullptr ? base : nullptr;
+  base_figures_ = counted_ == nullptr ? base_figures : nullptr;
   out.valid = simulate(decision, nullptr, out, until);
 }
 

@@ -93,6 +93,8 @@ class Evaluator {
 
  private:
   bool simulate(const Decision& decision, const Figures* keys, Figures& out, const Until& until);
+  bool simulate_counted(const Decision& decision, const Figures* keys, Figures& out,
+                        const Until& until);
   bool plan(const Decision& decision, Figures& out, const Until& until);
   bool exhibit(int domain, const Decision& decision, Figures& out, const Until& until);
   [[nodiscard]] Tick slack_behind(const Schedule& schedule, int xnode, int activation) const;
@@ -104,6 +106,8 @@ class Evaluator {
   void set_limits(double most);
   [[nodiscard]] double overload(const Decision& decision) const;
 
+  const std::unique_ptr<Problem>
+      counted_;  ///< where WCETs depend on windows: with those that are counted
   const Problem& p_;
   std::vector<Tick> reference_;
   double reference_sum_ = 0, reference_largest_ = 0;

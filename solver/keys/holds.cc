@@ -158,6 +158,10 @@ class Dropping {
   }
 
   bool is_certified(const std::vector<char>& touched) {
+    if (p_.contended) {  // whom one meets, others on other XPUs meet as well
+      Windows now = w_;
+      return certify(p_, xpu_, now);
+    }
     if (p_.any_urgent) {
       derive_urgent(p_, xpu_, w_, urgent_);
       if (int i = -1; urgent_shortfall(p_, xpu_, w_, urgent_, i) > 0) return false;

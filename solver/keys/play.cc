@@ -150,6 +150,7 @@ class Play {
     planned_us_ = planned_starts_us(w.app, w.platform, w.policy);
     sampled_.resize(n);
     for (const auto& [u, v] : w.app.samples) sampled_[at(v)].push_back(u);
+    apart_ = kept_apart(w.app, w.platform, w.policy);
     released_.assign(w.components.size(), {-1, 0});
     for (std::size_t i = 0; i < n; ++i)
       devices_[at(w.policy.placements[i].xpu)].xnodes.push_back(static_cast<int>(i));
@@ -435,6 +436,8 @@ class Play {
         if (x != xnode &&
             (of_another_app(x, xnode) ? xpu.preemptive : first_open(x).second <= j.key))
           return false;
+    for (const int x : apart_[at(xnode)])
+      if (first_open(x).second <= j.planned) return false;
     for (const int u : sampled_[at(xnode)]) {
       const auto [release, key] = first_open(u);
       const bool one_clock = w_.home(u).clock == w_.home(xnode).clock;
@@ -596,6 +599,7 @@ class Play {
   std::priority_queue<Event, std::vector<Event>, std::greater<>> events_;
   PlannedStarts planned_us_;
   std::vector<std::vector<int>> sampled_;  ///< [xnode] what it reads
+  std::vector<std::vector<int>> apart_;    ///< [xnode] of kept_apart
   std::vector<std::pair<std::int64_t, Atoms>>
       released_;              ///< [component] the last release, and when
   std::vector<Atoms> began_;  ///< [release] when, of an app that releases one at a time

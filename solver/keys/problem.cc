@@ -4,8 +4,11 @@
 #include <algorithm>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <set>
 #include <string_view>
+
+#include "model/contention.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -303,6 +306,31 @@ struct Builder {
     return {};
   }
 
+  /// `wcet_flat` is set. Types that the platform lacks load nothing.
+  void set_loaded(const Platform& platform) const {
+    p.loaded.resize(at(p.num_xnodes) * at(p.num_types));
+    std::vector<std::int64_t> xpus;  // of each type
+    for (int t = 0; t < p.num_types; ++t)
+      xpus.push_back(static_cast<std::int64_t>(platform.instances_of(p.type_name[at(t)]).size()));
+    for (int i = 0; i < p.num_xnodes; ++i)
+      for (const BesideSpec& beside : app.xnodes[at(i)].beside) {
+        const auto on = std::find(p.type_name.begin(), p.type_name.end(), beside.on);
+        if (on == p.type_name.end()) continue;
+        const std::size_t type = static_cast<std::size_t>(on - p.type_name.begin());
+        auto& all = p.loaded[at(i) * at(p.num_types) + type];
+        if (all.empty())
+          all.push_back(
+              {std::vector<int>(at(p.num_types), 0), p.wcet(i, p.type_xpus[type].front())});
+        LoadedWcet one{std::vector<int>(at(p.num_types), 0),
+                       std::min(beside.wcet_us, kMostTicks / p.scale) * p.scale};
+        for (std::size_t t = 0; t < xpus.size(); ++t)
+          if (const auto of = beside.load.find(p.type_name[t]); of != beside.load.end())
+            one.load[t] = static_cast<int>(std::min(of->second, xpus[t]));
+        all.push_back(std::move(one));
+        p.contended = true;
+      }
+  }
+
   void set_places() const {
     std::map<std::pair<int, std::vector<Tick>>, int> known;  // type, and the WCETs there
     for (int m = 0; m < p.num_xpus; ++m) {
@@ -552,11 +580,14 @@ struct Builder {
 
 }  // namespace
 
-Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
+Result<Problem> Problem::create(const AppSpec& stated, const Platform& platform,
                                 const Objectives& wishes,
                                 const std::vector<std::pair<int, int>>& order,
                                 const Beside& beside) {
-  XAUTO_TRY(validate(app));
+  XAUTO_TRY(validate(stated));
+  // Other apps may be on every XPU at any time.
+  std::optional<AppSpec> longest;
+  const AppSpec& app = beside.nobody() ? stated : longest.emplace(at_longest(stated));
   if (!beside.nobody()) XAUTO_TRY(has_demand(app));
   for (const Demand& demand : beside.demands) {
     XAUTO_TRY(validate(demand));
@@ -579,6 +610,7 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
   XAUTO_TRY(build.set_clocks(clock_of));
   XAUTO_TRY(build.set_domains(clock_of));
   XAUTO_TRY(build.set_wcets(base));
+  build.set_loaded(platform);
   build.set_reach({});
   XAUTO_TRY(build.set_urgent());
   XAUTO_TRY(build.set_modules());

@@ -107,6 +107,12 @@ struct OtherSequence {
   Tick beside = 0;  ///< largest key - start in the other demands
 };
 
+/// What an XNode takes while jobs run on so many other XPUs of each type.
+struct LoadedWcet {
+  std::vector<int> load;  ///< [type]
+  Tick wcet = 0;
+};
+
 struct Problem {
   int num_xnodes = 0, num_xpus = 0, num_types = 0;
   Tick scale = 1;  ///< ticks per microsecond
@@ -121,8 +127,11 @@ struct Problem {
   std::vector<int> xpu_place;                ///< [xpu]
   std::vector<Tick> wcet_flat;               ///< [xnode * num_xpus + xpu], kNoTick: not there
   std::vector<std::vector<int>> may_run;     ///< [xnode] XPUs, ascending
-  std::vector<std::vector<int>> groups;      ///< XNodes that share one XPU
-  std::vector<int> group_of;                 ///< [xnode], -1: none
+  bool contended = false;  ///< WCETs depend on who runs beside; wcet() is what it takes alone
+  /// [xnode * num_types + type] The first is alone; some entry has as much as any load. Empty: it states none.
+  std::vector<std::vector<LoadedWcet>> loaded;
+  std::vector<std::vector<int>> groups;  ///< XNodes that share one XPU
+  std::vector<int> group_of;             ///< [xnode], -1: none
 
   std::vector<Component> components;
   std::vector<Domain> domains;

@@ -59,7 +59,8 @@ constexpr double kPoliteBelow = 0.56;    ///< whether it interrupts others in th
 constexpr double kOnCritical = 0.6;      ///< of moves: an XNode of the chain that sets the cost
 constexpr double kLate = 0.5;            ///< of moves of a hold: Decision::late, where that may be
 constexpr double kUnhold = 0.5;          ///< of moves of a hold: none, where there is one
-constexpr double kOneMove = 0.75;        ///< of candidates: one move, not two
+constexpr double kMeeting = 0.2;   ///< where WCETs depend on who meets: moves that keep two apart
+constexpr double kOneMove = 0.75;  ///< of candidates: one move, not two
 
 // A key: just beside that of another one of its XPU, times a factor, or with its whole component.
 constexpr double kBesideBelow = 0.6, kKeyFactorBelow = 0.9;
@@ -540,7 +541,34 @@ bool Search::change_reader(const Candidate& from, Decision& next) {
   return hold != before;
 }
 
+/// One is held until another one on another XPU, of its clock, has ended: or no longer.
+bool Search::change_meeting(const Candidate& from, Decision& next) {
+  const int i = static_cast<int>(random_.below(at(p_.num_xnodes)));
+  const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
+  Tick& hold = next.hold[at(j)];
+  if (hold > 0 && random_.unit() < kUnhold) {
+    hold = 0;
+    return true;
+  }
+  if (!from.figures.simulated || next.xpu[at(i)] == next.xpu[at(j)] ||
+      p_.domain_of(i) != p_.domain_of(j) || p_.before(j, i))
+    return false;
+  const Component &first = p_.components[at(p_.component_of[at(i)])],
+                  &then = p_.components[at(p_.component_of[at(j)])];
+  const auto n = static_cast<std::int64_t>(random_.below(at(p_.jobs[at(i)])));
+  const std::size_t s = p_.slot_of(i, n);
+  const Tick release = first.phase + n * first.period;
+  const std::int64_t m =
+      floor_div(release + from.figures.schedule.start[s] - then.phase, then.period);
+  const Tick until = release + from.figures.schedule.finish[s] - then.phase - m * then.period;
+  const Tick before = hold;
+  hold =
+      std::clamp<Tick>(p_.up_to_us(std::max(until, Tick{0})), 0, kMostTicks / p_.scale * p_.scale);
+  return hold != before;
+}
+
 bool Search::mutate(const Candidate& from, Decision& next) {
+  if (p_.contended && random_.unit() < kMeeting) return change_meeting(from, next);
   const double what = random_.unit();
   const int i = pick(from);
   const auto& may = p_.may_run[at(i)];

@@ -151,6 +151,7 @@ class Search {
   void keep(const Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] bool change_reader(const Candidate& from, Decision& next);
+  [[nodiscard]] bool change_meeting(const Candidate& from, Decision& next);
   [[nodiscard]] bool mutate(const Candidate& from, Decision& next);
   void put(Decision& d, int xnode, int xpu) const;
   [[nodiscard]] int pick(const Candidate& from);

@@ -4,9 +4,12 @@
 #include <algorithm>
 #include <array>
 #include <memory>
+#include <optional>
 
 #include "base/mutex.h"
+#include "model/contention.h"
 #include "solver/keys/chains.h"
+#include "solver/keys/contention.h"
 #include "solver/keys/exhibit.h"
 #include "solver/keys/holds.h"
 #include "solver/keys/lower_bounds.h"
@@ -97,6 +100,7 @@ Placement placement(const Problem& p, const Candidate& c, bool predicted, int i)
   return placed;
 }
 
+/// `p` has the WCETs that are counted.
 Policy policy_of(const AppSpec& app, const Platform& platform, const Problem& p, const Candidate& c,
                  bool predicted, const std::vector<std::int64_t>& bounds) {
   Policy policy;
@@ -104,7 +108,11 @@ Policy policy_of(const AppSpec& app, const Platform& platform, const Problem& p,
   policy.app_hash = app.hash();
   policy.platform = platform.name;
   policy.method = "auto";
-  for (int i = 0; i < p.num_xnodes; ++i) policy.placements.push_back(placement(p, c, predicted, i));
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    Placement& placed = policy.placements.emplace_back(placement(p, c, predicted, i));
+    if (!stated_loads(app.xnodes[at(i)], platform.xpus[at(placed.xpu)].type).empty())
+      placed.wcet_us = p.wcet(i, placed.xpu) / p.scale;
+  }
   for (std::size_t k = 0; k < p.chains.size(); ++k) {
     const std::int64_t worst = us_above(p, c.figures.chain[k]);
     policy.chains.push_back({p.chains[k].name, worst, bounds[k], worst == bounds[k]});
@@ -201,10 +209,18 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
                            .release_bound_us = at.bound,
                            .evaluations_per_s = at.evaluations_per_s});
     };
+  // Bounds are of what XNodes take alone. A plan with the longest times is valid whatever meets.
+  std::optional<ReleasePlan> again;
+  if (p.contended) {
+    asked.time_limit_s /= 2;
+    if (auto longest = plan_of_one_release(at_longest(app), platform, p, asked))
+      again = std::move(*longest);
+  }
   const Result<ReleasePlan> plan = plan_of_one_release(app, platform, p, std::move(asked));
   if (!plan && options.method != "auto") return tl::unexpected<Error>(plan.error());
   if (plan) {
     add(plan->policy);
+    if (again) add(again->policy);
     found.proof = plan->proof;
     const bool alike = std::all_of(p.chains.begin(), p.chains.end(),
                                    [&](const Chain& c) { return c.by == p.chains.front().by; });
@@ -478,11 +494,18 @@ class Solving {
   /// `least`: of all that were found what has the least of the largest.
   void tell_policy(Candidate& best, const Candidate& least) {
     answer_.outcome = Outcome::kPolicy;
+    std::optional<Problem> with_counted;  // a large one is copied only where that matters
+    if (p_.contended) {
+      with_counted = of();
+      count_wcets(*with_counted, best.decision.xpu,
+                  counted_wcets(of(), best.decision.xpu, best.figures.w));
+    }
+    const Problem& counted = with_counted ? *with_counted : of();
     // Predicted times are those of one schedule; domains that share XPUs have none in common.
     const bool predicted =
         p_.domains.size() == 1 && !p_.any_urgent && options_.beside.demands.empty() &&
-        predict(of(), best.decision.xpu, best.figures.w, best.figures.schedule, times_.finish);
-    answer_.policy = policy_of(app_, platform_, of(), best, predicted, answer_.lower_bound_us);
+        predict(counted, best.decision.xpu, best.figures.w, best.figures.schedule, times_.finish);
+    answer_.policy = policy_of(app_, platform_, counted, best, predicted, answer_.lower_bound_us);
     if (seed_ != nullptr) {
       answer_.policy.order = seed_->policy.order;
       answer_.policy.method = seed_->policy.method;

@@ -6,6 +6,7 @@
 #include <limits>
 #include <tuple>
 
+#include "model/contention.h"
 #include "solver/keys/sustain.h"
 
 namespace xauto::solver::keys {
@@ -215,6 +216,7 @@ class LeastLate {
     for (Placement& placed : policy.placements) {
       placed.start_us.clear();
       placed.finish_us.clear();
+      placed.wcet_us.reset();
       bare = bare && placed.hold_us.empty();
     }
     judge(policy);
@@ -254,6 +256,7 @@ class LeastLate {
 }  // namespace
 
 AppSpec at_usual_times(AppSpec app) {
+  app = at_longest(std::move(app));
   for (XNodeSpec& xnode : app.xnodes) {
     for (auto& [type, wcet] : xnode.wcet_us) {
       const auto typical = xnode.typical_us.find(type);
@@ -265,6 +268,7 @@ AppSpec at_usual_times(AppSpec app) {
 }
 
 AppSpec at_percent(AppSpec app, std::int64_t percent) {
+  app = at_longest(std::move(app));
   for (XNodeSpec& xnode : app.xnodes) {
     for (auto& [type, wcet] : xnode.wcet_us) wcet = shorter(wcet, percent);
     xnode.typical_us.clear();  // they may be longer

@@ -32,9 +32,15 @@ Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const Policy& b
 
 /// All WCETs on a type, rounded up.
 void scale(AppSpec& app, const std::string& type, std::int64_t percent) {
-  for (XNodeSpec& xnode : app.xnodes)
+  const auto to = [percent](std::int64_t us) {
+    return std::max<std::int64_t>(1, (us * percent + 99) / 100);
+  };
+  for (XNodeSpec& xnode : app.xnodes) {
     if (const auto wcet = xnode.wcet_us.find(type); wcet != xnode.wcet_us.end())
-      wcet->second = std::max<std::int64_t>(1, (wcet->second * percent + 99) / 100);
+      wcet->second = to(wcet->second);
+    for (BesideSpec& beside : xnode.beside)
+      if (beside.on == type) beside.wcet_us = to(beside.wcet_us);
+  }
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <climits>
+#include <map>
 #include <numeric>
 #include <queue>
 #include <set>
@@ -119,7 +120,8 @@ class World {
         if (m.name == app.xnodes[i].module) states = m.max_in_flight;
       states_.push_back(states);
       const Placement& p = policy.placements[i];
-      wcet_.push_back(atoms(app.xnodes[i].wcet_us.find(platform.xpus[at(p.xpu)].type)->second));
+      wcet_.push_back(std::max(takes(i, std::vector<char>(platform.xpus.size(), 0)),
+                               atoms(p.wcet_us.value_or(0))));
     }
     for (const SourceSpec& s : app.sources) {
       std::vector<char> hears(n, 0);
@@ -178,6 +180,38 @@ class World {
         if (at(v) == i && early_ != Early::kFromItsHold)
           start = std::max(start, planned(u, k, urgent) + transfer);
     return start;
+  }
+  /// Beside the XPUs that it has met: the least of what is stated beside at least these.
+  [[nodiscard]] Atoms takes(std::size_t i, const std::vector<char>& met) const {
+    const XNodeSpec& x = app_.xnodes[i];
+    const std::string& own = type(static_cast<int>(i));
+    std::map<std::string, std::int64_t> many;
+    for (std::size_t m = 0; m < met.size(); ++m)
+      if (met[m]) ++many[platform_.xpus[m].type];
+    // Loads of types that it does not state change nothing.
+    std::erase_if(many, [&](const auto& load) {
+      return std::ranges::none_of(x.beside, [&](const BesideSpec& b) {
+        return b.on == own && b.load.contains(load.first);
+      });
+    });
+    std::int64_t least = many.empty() ? x.wcet_us.find(own)->second : INT64_MAX;
+    for (const BesideSpec& b : x.beside) {
+      bool fits = b.on == own;
+      for (const auto& [type, count] : many)
+        fits = fits && b.load.contains(type) && b.load.find(type)->second >= count;
+      if (fits) least = std::min(least, b.wcet_us);
+    }
+    return atoms(least);
+  }
+  /// The other XPUs matter to it, or it to them.
+  [[nodiscard]] bool keeps_apart(std::size_t i, std::size_t u) const {
+    const auto minds = [&](std::size_t x, std::size_t y) {
+      return std::ranges::any_of(app_.xnodes[x].beside, [&](const BesideSpec& b) {
+        return b.on == type(static_cast<int>(x)) && b.load.contains(type(static_cast<int>(y)));
+      });
+    };
+    return policy_.placements[i].xpu != policy_.placements[u].xpu && clock(i) == clock(u) &&
+           (minds(i, u) || minds(u, i));
   }
   [[nodiscard]] std::int64_t period(std::size_t i) const { return period_[at(group_[i])]; }
   [[nodiscard]] int clock(std::size_t i) const { return clock_[at(group_[i])]; }
@@ -263,8 +297,9 @@ class Run {
         job.key = release + w_.atoms(p.key_us[j]) - sooner;
         job.release = release;
         job.planned = release + w_.planned(i, k, sooner > 0);
-        job.left = std::max<Atoms>(1, w_.wcet_[i] / 255 * f_.run[i][at(k)] +
-                                          (f_.run[i][at(k)] == 255 ? w_.wcet_[i] % 255 : 0));
+        job.met.assign(w_.platform_.xpus.size(), 0);
+        job.most = w_.wcet_[i];
+        job.left = part_of(job.most, i, k);
         job.waits = w_.edges_in_[i] + static_cast<int>(w_.app_.xnodes[i].sources.size()) +
                     (k > 0 ? 1 : 0) + (!w_.inner_[i] && k >= w_.states_[i] ? 1 : 0);
         push(job.planned, kPlanned, i, k);
@@ -310,6 +345,8 @@ class Run {
   };
   struct Job {
     Atoms release = 0, key = 0, planned = 0, left = 0, start = -1, end = -1;
+    Atoms most = 0;         ///< what it may take by now
+    std::vector<char> met;  ///< [XPU] a job there has run while it did
     int waits = 0;
     bool queued = false;
   };
@@ -391,6 +428,10 @@ class Run {
                                             (released || w_.early_ != Early::kOfTheReleased);
                                    })))
         return false;
+    for (std::size_t x = 0; x < jobs_.size(); ++x)
+      if (w_.early_ != Early::kOfItsXpu && w_.keeps_apart(i, x) &&
+          !ended(x, [&](const Job& other) { return other.key <= job.planned; }))
+        return false;
     if (w_.early_ == Early::kWithoutSamples) return true;
     for (const auto& [u, v] : w_.app_.samples)
       if (at(v) == i && !ended(at(u), [&](const Job& other) {
@@ -435,6 +476,24 @@ class Run {
       if (!w_.inner_[at(x)] && at(next) < jobs_[at(x)].size()) arrives(x, next);
   }
 
+  /// As much of it as fate lets the job have.
+  [[nodiscard]] Atoms part_of(Atoms most, std::size_t i, std::int64_t k) const {
+    return std::max<Atoms>(
+        1, most / 255 * f_.run[i][at(k)] + (f_.run[i][at(k)] == 255 ? most % 255 : 0));
+  }
+
+  /// The job that runs on `m` meets one on XPU `other`. True: it takes longer by that.
+  bool meets(std::size_t m, std::size_t other) {
+    const auto [key, tie, i, k] = xpus_[m].running;
+    Job& job = jobs_[at(i)][at(k)];
+    if (w_.app_.xnodes[at(i)].beside.empty() || job.met[other] != 0) return false;
+    job.met[other] = 1;
+    const Atoms before = job.most;
+    job.most = std::max(before, w_.takes(at(i), job.met));
+    job.left += part_of(job.most, at(i), k) - part_of(before, at(i), k);
+    return job.most > before;
+  }
+
   void decide(std::size_t m) {
     Device& device = xpus_[m];
     device.look = false;
@@ -464,6 +523,17 @@ class Run {
     // Who has a level goes before who comes later with the same key.
     if (levels) device.running.tie = INT_MIN;
     device.since = now_;
+    for (std::size_t other = 0; other < xpus_.size(); ++other) {
+      if (other == m || !xpus_[other].busy) continue;
+      (void)meets(m, other);
+      if (!meets(other, m)) continue;
+      Device& beside = xpus_[other];
+      Job& longer = jobs_[at(beside.running.xnode)][at(beside.running.activation)];
+      longer.left -= now_ - beside.since;
+      beside.since = now_;
+      push(now_ + longer.left, kEnds, at(beside.running.xnode), beside.running.activation,
+           ++beside.stamp);
+    }
     push(now_ + job.left, kEnds, at(next.xnode), next.activation, ++device.stamp);
   }
 

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Attacks a policy of keys: looks for an execution in which a job ends after its key, or a chain
 // takes longer than its claim. Simulates the rule of docs/keys.md with code of its own, and
-// climbs: execution times up to the WCETs, jitter, phases between clocks and their drift.
+// climbs: execution times up to the WCETs, jitter, phases between clocks and their drift. Where app.json states
+// what an XNode takes beside loads, a job takes what it takes alone; when it meets a job on another XPU, be it for
+// an instant, from then on all that is stated beside what it has met.
 //
 // What it finds is a counterexample. That it finds nothing proves nothing.
 #pragma once
@@ -24,6 +26,7 @@ enum class Early {
   kOfTheReleased,   ///< wrong: of the XPU's jobs those of smaller keys that are released
   kByTheSequence,   ///< wrong: once those have ended that are planned to start before it
   kWithoutSamples,  ///< wrong: whatever it reads
+  kOfItsXpu,        ///< wrong where WCETs are counted apart: whatever runs on other XPUs
   kOfItsApp,        ///< wrong where preemption costs: beside another app, as if it were alone
 };
 

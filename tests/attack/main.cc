@@ -53,6 +53,9 @@ const NamedKind kKinds[] = {
      {.components = 5, .load = 0.85, .preempt_us = 5, .levels = 2, .jitter_us = 40}},
     {"three levels, two clocks, 1000 ppm",
      {.clocks = 2, .ppm = 1000, .components = 5, .load = 0.8, .levels = 3, .holds = true}},
+    {"contention, preemption 20", {.load = 0.4, .preempt_us = 20, .holds = true, .beside = true}},
+    {"contention, two clocks, no preemption",
+     {.clocks = 2, .ppm = 1000, .load = 0.4, .preemptive = false, .holds = true, .beside = true}},
 };
 
 /// What the solver is not told.
@@ -82,6 +85,20 @@ const Fault kFaults[] = {
     {"that an XPU has no level more",
      [](AppSpec&, Platform& platform) {
        for (Xpu& xpu : platform.xpus) xpu.levels += xpu.levels > 0 ? 1 : 0;
+     }},
+    {"what XNodes take beside loads",
+     [](AppSpec& app, Platform&) {
+       for (XNodeSpec& x : app.xnodes) x.beside.clear();
+     }},
+    {"what they take beside two at once",
+     [](AppSpec& app, Platform&) {
+       for (XNodeSpec& x : app.xnodes) {
+         std::int64_t one = 0;  // the longest of a single load
+         for (const BesideSpec& beside : x.beside)
+           if (beside.load.size() == 1) one = std::max(one, beside.wcet_us);
+         for (BesideSpec& beside : x.beside)
+           if (beside.load.size() > 1) beside.wcet_us = one;
+       }
      }},
     {"how many are in flight",
      [](AppSpec& app, Platform&) {

@@ -42,6 +42,8 @@ struct Wanted {
   bool holds = false;
   int longest = 5;     ///< XNodes of a component
   bool order = false;  ///< one period and no offsets, so that much is released together; pairs
+  bool beside =
+      false;  ///< most XNodes take longer beside loads, and more than the sum beside several
 };
 
 inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
@@ -131,6 +133,22 @@ inline Case random_app(std::uint64_t seed, const Wanted& wanted) {
     const double wcet = wanted.load * share[i] / sum[at(m)] * static_cast<double>(period_us[i]);
     c.app.xnodes[i].wcet_us[c.platform.xpus[at(m)].type] =
         std::max<std::int64_t>(1, static_cast<std::int64_t>(wcet));
+  }
+  for (std::size_t i = 0; i < share.size() && wanted.beside; ++i) {
+    if (pick(0, 3) == 0) continue;
+    XNodeSpec& x = c.app.xnodes[i];
+    const std::string& on = c.platform.xpus[at(c.policy.placements[i].xpu)].type;
+    const std::int64_t alone = x.wcet_us.at(on);
+    std::int64_t all = alone;
+    std::map<std::string, std::int64_t, std::less<>> load;
+    for (const Xpu& other : c.platform.xpus) {
+      if (other.type == on) continue;
+      const std::int64_t more = alone * pick(0, 60) / 100 + 1;
+      x.beside.push_back({on, {{other.type, 1}}, alone + more});
+      load[other.type] = 1;
+      all += more + alone * pick(0, 20) / 100;
+    }
+    if (load.size() > 1) x.beside.push_back({on, load, all});
   }
   c.policy.app = c.app.name;
   c.policy.app_hash = c.app.hash();

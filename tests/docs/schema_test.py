@@ -127,7 +127,8 @@ def test_golden_files_and_examples_are_valid():
 
 # What only a program can see: what holds between values, or bytes that a parser of JSON does not show.
 BEYOND = {
-        "app": {"chain-behind-all-that-does-not-connect", "chain-from-an-xnode", "chain-name-twice",
+        "app": {"beside-faster-than-alone", "beside-on-no-implementation", "beside-twice",
+            "chain-behind-all-that-does-not-connect", "chain-from-an-xnode", "chain-name-twice",
             "chain-that-does-not-connect", "chain-that-returns-to-a-component", "chain-to-unknown-xnode",
             "chains-of-all-from-unknown-source", "chains-of-all-from-what-nobody-hears-of",
             "chains-of-all-to-unknown-xnode", "chains-of-all-to-what-is-not-last", "clock-listed-twice",
@@ -149,7 +150,7 @@ BEYOND = {
                "order-self", "order-twice", "order-unknown-xnode", "priority-twice", "stale-hash", "xnode-not-placed",
                "xnode-twice", "xnode-unknown", "xpu-unknown", "xpu-without-implementation",
                "xpu-without-implementation-other-order"},
-    "policy-keys": {"app-of-another-name", "chain-missing", "chain-twice", "chain-unknown", "finish-after-key",
+    "policy-keys": {"app-of-another-name", "wcet-of-one-that-states-none", "chain-missing", "chain-twice", "chain-unknown", "finish-after-key",
                  "finish-before-start", "hold-of-another-size", "key-before-hold-and-work",
                  "key-before-offset-and-work", "key-before-predecessor-and-work",
                  "key-before-predecessor-other-order", "key-before-predecessor-transfer-and-work",

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // policy.json, and tables.json of keys, from outside, for apps and a platform of our own: those of tests/golden, one
-// with rates and one that releases one at a time.
+// with rates and one that releases one at a time; and the first with times beside loads.
 #include "model/json.h"
 
 #include "golden.h"
@@ -79,7 +79,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   using namespace xauto;
   static const Platform platform = fuzz::golden_platform();
   static const AppSpec app = parse_app(kApp, "app").value(), once = fuzz::golden_app();
-  for (const AppSpec* of : {&app, &once}) {
+  static const AppSpec loaded = [] {
+    AppSpec of = app;
+    of.xnodes[1].beside = {{"gpu", {{"cpu", 2}}, 8000}, {"dla", {{"gpu", 1}}, 12'000}};
+    return of;
+  }();
+  for (const AppSpec* of : {&app, &once, &loaded}) {
     const auto read = [&](std::string_view text) {
       return parse_policy(text, fuzz::kOrigin, *of, platform);
     };

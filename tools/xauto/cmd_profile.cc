@@ -503,8 +503,8 @@ void add_profile(Commands& commands) {
   verb.option("--app-out", flags->app_out, "write the app.json that follows here");
   verb.flag(
       "--contended", flags->contended,
-      "once more beside a load of each type of XPU, the memory of which all share: the WCET is "
-      "the longest of all");
+      "once more beside a load of each type of XPU, the memory of which all share, and of all "
+      "types at once: app.json states what each XNode takes alone and beside each");
   verb.flag("--audit", flags->audit,
             "show how busy other XPUs are while an XNode runs: status 1 where it uses another than "
             "it "

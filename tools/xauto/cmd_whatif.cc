@@ -102,6 +102,7 @@ Result<OtherWay> with_implementation(OtherWay way, const std::string& text) {
   const double us = std::min(static_cast<double>(longest) * times, static_cast<double>(kMaxTimeUs));
   xnode.wcet_us[type] = std::max<std::int64_t>(1, std::llround(us));
   xnode.typical_us.erase(type);
+  std::erase_if(xnode.beside, [&](const BesideSpec& beside) { return beside.on == type; });
   if (way.platform.instances_of(type).empty())
     way.platform.xpus.push_back(
         {type + "0", type, true, type == "gpu" ? kGpuPreemptUs : kDlaPreemptUs});

@@ -13,6 +13,7 @@
 #include "base/index.h"
 #include "model/claims.h"
 #include "model/components.h"
+#include "model/contention.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "model/together.h"
@@ -109,9 +110,35 @@ std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
   return out;
 }
 
-/// A line per XPU whose preemptions cost what nobody has measured, and are charged.
-std::string unmeasured_costs(const Platform& platform, const keys::CheckReport& report) {
+/// Whose WCET is counted beside fewer loads than are stated, since the plan keeps it apart; empty: no load is stated.
+std::string counted_loads(const AppSpec& app, const Platform& platform, const Policy& policy) {
+  std::vector<std::string> less;
+  std::size_t all = 0;
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    const Placement& placed = policy.placements[i];
+    if (!placed.wcet_us) continue;
+    ++all;
+    const std::int64_t longest = longest_wcet(app.xnodes[i], platform.xpus[at(placed.xpu)].type);
+    if (*placed.wcet_us < longest)
+      less.push_back(
+          fmt::format("{} {} of {}", app.xnodes[i].name, ms(*placed.wcet_us), ms(longest)));
+  }
+  if (all == 0) return {};
+  return wrapped(
+             fmt::format("  beside loads: {} of {} XNodes count less than their longest WCET{}{}",
+                         less.size(), all,
+                         less.empty() ? "" : ", being kept apart: ", fmt::join(less, ", ")),
+             9) +
+         "\n";
+}
+
+/// A line per XPU whose preemptions cost what nobody has measured, and are charged; one where XPUs are taken for
+/// independent.
+std::string not_measured(const AppSpec& app, const Platform& platform, const Policy& policy,
+                         const keys::CheckReport& report) {
   std::string out;
+  if (const std::string line = independence_of(app, platform, policy); !line.empty())
+    out += wrapped("  taken  " + line, 9) + "\n";
   for (std::size_t x = 0; x < report.xpus.size(); ++x)
     if (const std::string cost = unmeasured(platform.xpus[x]);
         report.xpus[x].charged > 0 && !cost.empty())
@@ -463,7 +490,7 @@ Result<std::vector<keys::WhatIf>> ask_assumed(const AppSpec& app, const Platform
 /// The policies of several apps, in the order of --out.
 void write_policies(const Apps& apps, const Platform& platform, const Policy& policy,
                     const std::vector<std::string>& paths, Outputs& outputs, bool tell) {
-  const std::vector<Policy> parts = split_policy(apps.each, policy);
+  const std::vector<Policy> parts = split_policy(apps.each, platform, policy);
   for (std::size_t a = 0; a < paths.size(); ++a)
     outputs.write(paths[a], to_json(parts[a], apps.each[a], platform));
   if (tell && !paths.empty() && outputs.good())
@@ -670,7 +697,7 @@ namespace {
 Json json_of(const Apps& apps, const Platform& platform, const Policy& policy) {
   if (!apps.several()) return Json::parse(to_json(policy, apps.all, platform)).value_or(Json());
   Json root = {{"schema", "xauto.policies"}, {"version", 1}, {"policies", Json::array()}};
-  const std::vector<Policy> parts = split_policy(apps.each, policy);
+  const std::vector<Policy> parts = split_policy(apps.each, platform, policy);
   for (std::size_t a = 0; a < parts.size(); ++a)
     root["policies"].push_back(
         Json::parse(to_json(parts[a], apps.each[a], platform)).value_or(Json()));
@@ -742,7 +769,8 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
                      scope(apps, !asked.beside.demands.empty()))
               << (asked.beside.nobody() ? "" : "  Proven " + name_of_all(asked.beside) + ".\n")
-              << unmeasured_costs(platform, *checked) << urgency(app);
+              << counted_loads(app, platform, answer.policy)
+              << not_measured(app, platform, answer.policy, *checked) << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs, assumed_s(asked));
     if (late)
@@ -1027,6 +1055,7 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
     std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
   show_chains(report, ways);
   for (const std::string& wish : broken) std::cout << wrapped("  MISSED " + wish, 9) << "\n";
+  if (lies.empty()) std::cout << counted_loads(app, platform, policy);
   for (const std::string& taken : report.taken)
     std::cout << wrapped("  taken  " + taken, 9) << "\n";
   std::cout << (lies.empty()

@@ -3,9 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include "model/contention.h"
 #include "model/json.h"
 #include "model/periodic.h"
 #include "model/profile.h"
+#include "model/scenario.h"
 #include "model/tables.h"
 
 #include "tests/unit/tables_of.h"
@@ -232,7 +234,7 @@ TEST(Profile, TheMedianIsTheTypicalTime) {
   profile.xnodes[0].variants = {{"small", 50, {{"gpu0", {200, 0, 0, 8, 9}}}}};
   for (const WcetFrom from : {WcetFrom::kMaxPlusMargin, WcetFrom::kP99, WcetFrom::kP50}) {
     const AppSpec app = to_app(profile, platform, from).value();
-    EXPECT_EQ(app.xnodes[0].typical_us, (TypicalTimes{{"cpu", 4}}));
+    EXPECT_EQ(app.xnodes[0].typical_us, (TypicalTimes{{"cpu", 3}})) << "alone";
     EXPECT_EQ(app.xnodes[0].variants[0].typical_us, (TypicalTimes{{"gpu", 1}}));
     const auto read = parse_app(to_json(app), "app.json");
     ASSERT_TRUE(read) << read.error().to_string();
@@ -242,6 +244,64 @@ TEST(Profile, TheMedianIsTheTypicalTime) {
     without.xnodes[0].variants[0].typical_us.clear();
     EXPECT_EQ(without.hash(), app.hash()) << "a policy does not depend on it";
   }
+}
+
+/// An XNode on the built-in platform `small` (2 cpu, 1 gpu, 1 dla), measured beside loads.
+TEST(AppSpec, WhatWasMeasuredBesideLoadsIsStated) {
+  const Platform platform = Platform::builtin("small").value();
+  const auto cpus = static_cast<std::int64_t>(platform.instances_of("cpu").size());
+  Profile profile;
+  profile.app = "a";
+  profile.margin_pct = 0;
+  profile.sources = {{"s", {1000}}};
+  profile.xnodes = {{"x", "M", {{"gpu0", {200, 1, 2, 9, 10}}}}};
+  profile.xnodes[0].sources = {0};
+  auto& beside = profile.xnodes[0].beside;
+  beside["cpu"]["gpu0"] = {200, 1, 4, 8, 14};
+  beside["dla"]["gpu0"] = {200, 1, 2, 8, 9};  // by chance shorter than alone
+  const auto app = [&] { return to_app(profile, platform, WcetFrom::kMaxPlusMargin).value(); };
+  const auto dlas = static_cast<std::int64_t>(platform.instances_of("dla").size());
+  const std::vector<BesideSpec> single = {{"gpu", {{"cpu", cpus}}, 14},
+                                          {"gpu", {{"dla", dlas}}, 10}};
+  EXPECT_EQ(app().xnodes[0].wcet_us.at("gpu"), 10);
+  EXPECT_EQ(app().xnodes[0].beside, single);
+  EXPECT_FALSE(wcet_beside(app().xnodes[0], "gpu", {{"cpu", 1}, {"dla", 1}}));
+  beside["*"]["gpu0"] = {200, 1, 4, 8, 20};
+  const AppSpec all = app();
+  EXPECT_EQ(wcet_beside(all.xnodes[0], "gpu", {{"cpu", 1}, {"dla", 1}}), 20);
+  EXPECT_EQ(wcet_beside(all.xnodes[0], "gpu", {{"cpu", 1}}), 14);
+  EXPECT_EQ(wcet_beside(all.xnodes[0], "gpu", {{"pva", 3}}), 10) << "a type that is not stated";
+  EXPECT_FALSE(wcet_beside(all.xnodes[0], "gpu", {{"cpu", cpus + 1}}));
+  EXPECT_EQ(at_longest(all).xnodes[0].wcet_us.at("gpu"), 20);
+  EXPECT_TRUE(at_longest(all).xnodes[0].beside.empty());
+  const auto read = parse_app(to_json(all), "app.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, all);
+  AppSpec other = all;
+  other.xnodes[0].beside[0].wcet_us += 1;
+  EXPECT_NE(other.hash(), all.hash());
+  std::swap(other.xnodes[0].beside[0], other.xnodes[0].beside[1]);
+  other.xnodes[0].beside[1].wcet_us -= 1;
+  EXPECT_EQ(other.hash(), all.hash()) << "in any order";
+}
+
+TEST(AppSpec, EachLoadThatTheAppCanBeOnThePlatformHasToBeStated) {
+  const Platform platform{"p", {{"gpu0", "gpu"}, {"dla0", "dla"}, {"dla1", "dla"}}};
+  AppSpec app = chain(3);
+  app.xnodes[0].wcet_us = {{"gpu", 10}};
+  app.xnodes[1].wcet_us = app.xnodes[2].wcet_us = {{"dla", 10}};
+  app.xnodes[0].beside = {{"gpu", {{"dla", 1}}, 12}};
+  const auto refused = validate_on(app, platform);
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().what.find("beside 2 dla"), std::string::npos);
+  app.xnodes[2].wcet_us = {{"gpu", 10}};
+  EXPECT_TRUE(validate_on(app, platform)) << "one XNode for DLAs loads one";
+  app.xnodes[2].wcet_us = {{"dla", 10}};
+  app.xnodes[0].beside.push_back({"gpu", {{"dla", 2}}, 19});
+  EXPECT_TRUE(validate_on(app, platform));
+  EXPECT_EQ(wcet_beside(app.xnodes[0], "gpu", {{"dla", 1}}), 12) << "the least that covers it";
+  // A scenario scales the longest.
+  EXPECT_EQ(app_under(app, {"slow", {{"gpu", 200}}}).xnodes[0].wcet_us.at("gpu"), 38);
 }
 
 TEST(Tables, TheMemoryOfAllInstancesCountsEachOnce) {

@@ -3,6 +3,7 @@
 // conditions, or a reason why not.
 #include <gtest/gtest.h>
 
+#include "model/contention.h"
 #include "model/json.h"
 #include "model/scenario.h"
 
@@ -113,15 +114,19 @@ TEST(ProfileConditions, WhatOneOfThemLacksCannotBeCompared) {
   EXPECT_EQ(make({profile("alone", 100, {clock(kGpu, 1000, 1000)})}).why, "");
 }
 
-TEST(ProfileConditions, TheWorstCoRunClassMakesTheWcet) {
-  Profile p = profile("x", 100, {}).profile;
-  p.xnodes[0].beside["cpu"]["gpu0"] = {9, 1, 2, 3, 130};
-  p.xnodes[0].beside["dla"]["gpu0"] = {9, 1, 2, 3, 120};
+TEST(ProfileConditions, EachCoRunClassIsStatedAndAScenarioHasTheWorst) {
+  NamedProfile one = profile("x", 100, {});
+  one.profile.xnodes[0].beside["cpu"]["gpu0"] = {9, 1, 2, 3, 130};
+  one.profile.xnodes[0].beside["dla"]["gpu0"] = {9, 1, 2, 3, 110};
   const Platform small = Platform::builtin("small").value();
-  EXPECT_EQ(to_app(p, small, WcetFrom::kMaxPlusMargin)->xnodes[0].wcet_on("gpu"), 156);
-  p.xnodes[0].beside["dla"]["gpu0"].max_us = 80;
-  p.xnodes[0].beside["cpu"]["gpu0"].max_us = 90;
-  EXPECT_EQ(to_app(p, small, WcetFrom::kMaxPlusMargin)->xnodes[0].wcet_on("gpu"), 120);
+  const auto app = to_app(one.profile, small, WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(app);
+  EXPECT_EQ(app->xnodes[0].wcet_on("gpu"), 120);
+  EXPECT_EQ(wcet_beside(app->xnodes[0], "gpu", {{"cpu", 1}}), 156);
+  EXPECT_EQ(wcet_beside(app->xnodes[0], "gpu", {{"dla", 1}}), 132);
+  const auto merged = scenarios_of({one}, small, WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(merged);
+  EXPECT_EQ(merged->list[0].wcet_us.at("x").at("gpu"), 156);
 }
 
 }  // namespace

@@ -55,6 +55,12 @@ class EarlyExample {
   void urgent(int source, std::int64_t by_us) {
     app_.sources[at(source)].urgent = UrgentSpec{by_us, 1'000'000};
   }
+  /// `x` takes longer beside a load of that type, and the policy counts that it does not meet one; or that it may.
+  void beside(int x, const std::string& type, bool apart) {
+    const std::string& on = platform_.xpus[at(policy_.placements[at(x)].xpu)].type;
+    app_.xnodes[at(x)].beside = {{on, {{type, 1}}, 1500}};
+    policy_.placements[at(x)].wcet_us = apart ? 1000 : 1500;
+  }
   void share(const std::string& xpu) { shared_[at(platform_.find(xpu))] = true; }
   EarlyStart& made() {
     if (!early_) {
@@ -123,6 +129,23 @@ TEST(EarlyStart, AnEqualKeyIsWaitedForAndALargerOneIsNot) {
   EXPECT_FALSE(e.may(held));
   e.ended(equal, 0);
   EXPECT_TRUE(e.may(held));
+}
+
+TEST(EarlyStart, WhereItsPlanKeepsItApartItWaitsForTheOtherXpu) {
+  for (const bool counts : {true, false})
+    for (const bool minds : {true, false}) {
+      EarlyExample e;
+      const int s = e.source(100'000), other_clock = e.source(100'000, 1);
+      const int held = e.xnode("cpu0", {s}, {60'000}, {50'000});
+      const int before = e.xnode("gpu0", {s}, {50'000});
+      (void)e.xnode("gpu0", {s}, {50'001});            // behind the planned start
+      (void)e.xnode("gpu0", {other_clock}, {40'000});  // that one is met, and counts
+      (void)e.xnode("dla0", {s}, {40'000});            // nobody minds it
+      minds ? e.beside(held, "gpu", counts) : e.beside(before, "cpu", counts);
+      EXPECT_EQ(e.may(held), !counts);
+      e.ended(before, 0);
+      EXPECT_TRUE(e.may(held));
+    }
 }
 
 TEST(EarlyStart, KeysAreThoseOfTheActivation) {

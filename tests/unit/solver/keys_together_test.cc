@@ -57,7 +57,8 @@ TEST(KeysTogether, WhatIsMergedIsSplitAgain) {
   EXPECT_EQ(all.xnodes[1].name, "b/x");
   EXPECT_EQ(all.sources[1].name, "b/s");
   EXPECT_NE(all.sources[0].clock, all.sources[1].clock) << "both are 'main', and have no phase";
-  const auto parts = split_policy({pair.each[0].app, pair.each[1].app}, pair.together.policy);
+  const auto parts = split_policy({pair.each[0].app, pair.each[1].app}, pair.together.platform,
+                                  pair.together.policy);
   EXPECT_EQ(parts[0], pair.each[0].policy);
   EXPECT_EQ(parts[1], pair.each[1].policy);
 }
@@ -257,7 +258,7 @@ TEST(KeysTogether, WhatTheSolverPlansHolds) {
     const auto all = solve(pairs.accepted->together.app, each[0].platform, options);
     ASSERT_TRUE(all) << all.error().to_string();
     if (all->outcome == Outcome::kPolicy) {
-      const auto parts = split_policy({each[0].app, each[1].app}, all->policy);
+      const auto parts = split_policy({each[0].app, each[1].app}, each[0].platform, all->policy);
       for (const int k : {0, 1}) each[at(k)].policy = parts[at(k)];
       attacked(pair_of(each[0], each[1]));
       ++together;
