@@ -98,7 +98,7 @@ kmod() {
     tests=$(selftests "$programs")
   fi || { failed=$((failed + 1)); return; }
   if [ "${2:-amd64}" = amd64 ]; then
-    for program in xauto xauto-coordinator xauto-emud contexts_app driving; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
+    for program in xauto xauto-coordinator xauto-system xauto-emud contexts_app driving; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
     items+=(tests/kselftest/kmod/contexts.json:/opt/xauto/contexts.json examples/driving/app.json:/opt/xauto/driving.json)
     items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   fi
@@ -188,7 +188,8 @@ keys() {
   grep '^# jobs' "$out/keys-$1.log"
 }
 
-# together NAME: two apps on one core under the machine's coordinator, in the guest's own virtual time; then one of them overruns.
+# together NAME: two apps on one core under the machine's coordinator, in the guest's own virtual time; then one of them overruns, comes and
+# goes, and is killed.
 together() {
   local kernel items=() program each
   note "two apps on one core on Linux $1"
@@ -200,9 +201,9 @@ together() {
     { failed=$((failed + 1)); return; }
   for each in steady wild platform; do items+=("tests/vm/together/$each.json:/together/$each.json"); done
   for each in steady wild; do items+=("$out/$each.policy.json:/together/$each.policy.json"); done
-  VM_APPEND="${XAUTO_FULL:+xauto.seconds=1000} ${VM_APPEND:-}" VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+7200}} \
+  VM_APPEND="${XAUTO_FULL:+xauto.seconds=1000 xauto.joins=1000 xauto.kills=300} ${VM_APPEND:-}" VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+7200}} \
     in_vm "together-$1" "$kernel" run-together "${items[@]}"
-  grep -E '^# (all|nobody),' "$out/together-$1.log"
+  grep -E '^# (all|nobody|joins|kills)[,:]' "$out/together-$1.log"
 }
 
 # The Driving Case over the emulator modules, in the guest's own virtual time.

@@ -4,6 +4,8 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -20,20 +22,33 @@ struct Runners {
   std::vector<std::string> names;  ///< "stress (pid 77, SCHED_FIFO 99)", at most three
   bool realtime = false;  ///< they are all of a real-time policy: those of others are left out then
 };
-/// But for threads of the process `own`. `proc`: where proc(5) is.
-[[nodiscard]] Runners runners_on(int core, pid_t own, const std::string& proc = "/proc");
+/// But for threads of these processes. `proc`: where proc(5) is.
+[[nodiscard]] Runners runners_on(int core, const std::vector<pid_t>& known,
+                                 const std::string& proc = "/proc");
 
 /// Threads: one at a time.
 class ForeignWatch {
  public:
+  /// What the machine's service says: processes of all runs that have joined, none: nobody says; and where it suspends
+  /// work of others, by hardware, how often it could not.
+  struct Neighbours {
+    std::vector<pid_t> processes;
+    std::map<std::string, std::int64_t> not_kept_off;
+  };
+  using Ask = std::function<Neighbours()>;  ///< may take seconds
   /// `leads`: of several processes of a run one looks for other runs.
-  ForeignWatch(const Session& session, Board& board, bool leads);
+  ForeignWatch(const Session& session, Board& board, bool leads, Ask ask = {});
   /// Often: it has a look at other runs each second, and who runs on a core only where a job had to wait.
   void look(std::int64_t now_ns);
+  /// Other runs are admitted to cores of this one, and it could not tell them from strangers.
+  [[nodiscard]] bool is_blind() const { return blind_; }
 
  private:
   void look_for_runs();
   void look_for_runners();
+  void look_for_strangers(std::size_t xpu);
+  void look_for_foreign_work();
+  [[nodiscard]] Neighbours neighbours();
 
   Board& board_;
   const bool leads_;
@@ -41,7 +56,12 @@ class ForeignWatch {
   std::vector<RealXpu> xpus_;        ///< [XPU]
   std::vector<std::uint64_t> seen_;  ///< [XPU] jobs that had to wait, at the last look
   std::vector<int> looks_;           ///< [XPU] how often somebody was looked for
-  std::int64_t looked_ns_ = 0;
+  std::int64_t looked_ns_ = 0, asked_ns_ = 0;
+  std::int64_t silent_until_ns_ = 0;  ///< whoever did not answer is left alone
+  Ask ask_;
+  bool blind_ = false;
+  bool suspends_ = true;  ///< the service, work of others, as far as is known
+  std::map<std::string, std::int64_t> not_kept_off_;  ///< when it was asked first
 };
 
 }  // namespace xauto::runtime

@@ -12,6 +12,7 @@ namespace {
 
 constexpr char kBetween = '?';
 constexpr std::size_t kParts = 6;
+constexpr int kAnswerMs = 2'000;
 
 template <class T>
 bool number(const std::string& text, T& value) {
@@ -59,6 +60,33 @@ Result<UniqueFd> open_door(const Door& door) {
   std::strncpy(attach.hardware, door.name.c_str(), sizeof attach.hardware - 1);
   XAUTO_TRY(send_packet(socket.get(), &attach, sizeof attach));
   return socket;
+}
+
+Result<Json> ask_machine(const std::string& path) {
+  XAUTO_ASSIGN(const UniqueFd socket, connect_path(path, kAnswerMs));
+  const auto ask = static_cast<std::uint32_t>(MessageKind::kStatus);
+  XAUTO_TRY(send_packet(socket.get(), &ask, sizeof ask));
+  if (!wait_readable(socket.get(), kAnswerMs))
+    return fail(ErrorCode::kTimeout, "did not answer", path);
+  std::string text(kMaxStatusBytes, '\0');
+  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size()));
+  text.resize(size);
+  auto told = Json::parse(text);
+  if (!told) return fail(ErrorCode::kUnavailable, "answered with something else than JSON", path);
+  return *std::move(told);
+}
+
+Neighbours neighbours(const Json& machine) {
+  Neighbours of;
+  for (const Json& app : machine.at("apps").elements())
+    for (const Json& pid : app.at("pids").elements())
+      of.processes.push_back(static_cast<pid_t>(pid.integer().value_or(0)));
+  for (const Json& coordinator : machine.at("coordinators").elements()) {
+    of.processes.push_back(static_cast<pid_t>(coordinator.at("pid").integer().value_or(0)));
+    if (const auto off = coordinator.at("foreign").at("not_kept_off").integer())
+      of.not_kept_off[coordinator.at("xpu").text().value_or("?")] = *off;
+  }
+  return of;
 }
 
 }  // namespace xauto::coord

@@ -5,13 +5,18 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
+#include <vector>
+
+#include <sys/types.h>
 
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
 #include "coord/protocol.h"
+#include "model/json_value.h"
 
 namespace xauto::coord {
 
@@ -39,6 +44,17 @@ struct Door {
 /// Connects; behind the machine's socket it also says Attach, whose refusal comes in place of the coordinator's
 /// answer.
 [[nodiscard]] Result<UniqueFd> open_door(const Door& door);
+
+/// Who is there, as the machine's service says (launch/system_lease.h). kTimeout: it did not answer within 2 s.
+[[nodiscard]] Result<Json> ask_machine(const std::string& path);
+/// Of what it says, that which a run has to know of the others.
+struct Neighbours {
+  /// Processes of all runs that have joined, and its coordinators, as they are called where it runs.
+  std::vector<pid_t> processes;
+  /// By hardware, where work of others is suspended: how often it was not (launch/foreign_work.h).
+  std::map<std::string, std::int64_t> not_kept_off;
+};
+[[nodiscard]] Neighbours neighbours(const Json& machine);
 
 /// The run's own number of an XNode that the coordinator calls `there`; none: it is another run's.
 [[nodiscard]] inline std::optional<std::uint32_t> own_xnode(const Door& door, std::uint32_t there) {

@@ -34,7 +34,7 @@ constexpr int kLookMs = 50;  ///< for whether the run ends meanwhile
 
 Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const std::string& worker,
                                             const std::vector<std::uint32_t>& xnodes,
-                                            const OrderPairs& order, int fifo) {
+                                            const OrderPairs& order, int fifo, int timeout_ms) {
   const std::string where = "coordinator '" + address + "'";
   if (xnodes.size() > kMaxWorkerXNodes)
     return fail(ErrorCode::kInvalid,
@@ -52,7 +52,7 @@ Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const st
   std::transform(xnodes.begin(), xnodes.end(), hello.xnodes,
                  [&](std::uint32_t own) { return own + port->first_xnode_; });
   hello.num_order = static_cast<std::uint32_t>(order.size());
-  XAUTO_TRY(port->introduce(hello, -1));
+  XAUTO_TRY(port->introduce(hello, timeout_ms));
 
   struct stat status {};
   const int memory_fd = port->memory_.get();
@@ -77,6 +77,10 @@ Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const st
   port->words_ = Words<RealAtomics>(port->shm_, &port->rules_);
   port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
   port->pending_command_ = port->shm_.slots[port->slot_].coordinator.command.load();
+  if (port->record_fd_) {
+    XAUTO_ASSIGN(port->record_, Record::map(port->record_fd_.get(), true));
+    port->record_fd_.reset();
+  }
   XAUTO_ASSIGN(port->watch_, SocketWatch::of_process(fifo));
   XAUTO_TRY(port->watch_socket());
   return port;
@@ -100,7 +104,7 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
     return fail(ErrorCode::kPermission, std::string("refused the worker: ") + answer.reason, where);
   }
   Welcome welcome;
-  if (size != sizeof welcome || fds.size() != 2)
+  if (size != sizeof welcome || fds.size() < 2 || fds.size() > 3)
     return fail(ErrorCode::kUnavailable, "answered with an unknown message", where);
   std::memcpy(&welcome, static_cast<const void*>(&answer), sizeof welcome);
   if (welcome.slot >= static_cast<std::uint32_t>(kMaxSlots))
@@ -114,6 +118,7 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
   if (!memory_) {  // a coordinator that took over has the same memory and doorbell
     memory_ = std::move(fds[0]);
     doorbell_ = std::move(fds[1]);
+    if (fds.size() == 3) record_fd_ = std::move(fds[2]);
   }
   return {};
 }
@@ -230,6 +235,20 @@ std::int64_t Port::beside_ns(std::int64_t since_ns, std::int64_t until_ns) const
     if (after_ns <= ran_ns && (beside_ns < 0 || after_ns < beside_ns)) beside_ns = after_ns;
   }
   return std::max<std::int64_t>(0, beside_ns);
+}
+
+void Port::tell_had(std::int64_t begin_ns, std::int64_t end_ns, std::int64_t had_ns) const {
+  if (record_) record_.slot(slot_).add(begin_ns, end_ns, had_ns);
+}
+
+std::int64_t Port::others_had_ns() const {
+  return record_ ? record_.others_ns(door_.lease.number) : 0;
+}
+
+Neighbours Port::neighbours() const {
+  if (!door_.shared()) return {};
+  const auto told = ask_machine(door_.path);
+  return told ? coord::neighbours(*told) : Neighbours();
 }
 
 void Port::skip(std::uint32_t xnode, std::uint64_t sequence) {

@@ -20,6 +20,7 @@
 #include "coord/arbiter.h"
 #include "coord/door.h"
 #include "coord/protocol.h"
+#include "coord/record.h"
 #include "coord/shm_layout.h"
 #include "coord/socket_watch.h"
 #include "coord/worker_side.h"
@@ -39,10 +40,11 @@ class alignas(64) Port {
  public:
   /// Registers a worker with the coordinator at `address` (door.h). `order`: pairs (u, v) of XNodes on this XPU,
   /// as the coordinator knows them; one that several runs share knows none. `fifo`: SCHED_FIFO priority of
-  /// management threads, also of the one that hears of the coordinator's death; 0: none.
+  /// management threads, also of the one that hears of the coordinator's death; 0: none. `timeout_ms`: for the answer; -1: none.
   [[nodiscard]] static Result<std::unique_ptr<Port>> connect(
       const std::string& address, const std::string& worker,
-      const std::vector<std::uint32_t>& xnodes, const OrderPairs& order, int fifo = 0);
+      const std::vector<std::uint32_t>& xnodes, const OrderPairs& order, int fifo = 0,
+      int timeout_ms = -1);
   ~Port();
   Port(const Port&) = delete;
   Port& operator=(const Port&) = delete;
@@ -56,6 +58,13 @@ class alignas(64) Port {
   void begin(const Job& job);
   /// Returns when the job may run. On a lost coordinator: at once.
   void wait();
+  /// Whether `wait` would return at once.
+  [[nodiscard]] bool may_run() const {
+    return !waits_ || lost() ||
+           shm_.slots[slot_].coordinator.grant.load(std::memory_order_acquire) == generation_;
+  }
+  /// Of the XPU's coordinator.
+  [[nodiscard]] int slot() const { return slot_; }
   /// Whether others may be waiting for the XPU, or the coordinator decides: then a job that is
   /// ready should `begin` before this one finishes.
   [[nodiscard]] bool contended() const;
@@ -69,6 +78,13 @@ class alignas(64) Port {
   /// For how long from `since_ns`, when that job was let run, until `until_ns` (both CLOCK_MONOTONIC) the
   /// queue of the one from whom it got the XPU was not suspended yet. 0: it got it from nobody. Any thread.
   [[nodiscard]] std::int64_t beside_ns(std::int64_t since_ns, std::int64_t until_ns) const;
+  /// The job that began at `begin_ns` has ended at `end_ns`, and had the XPU for `had_ns` of that: so it is told to who
+  /// looks at a coordinator that several runs share. Execution thread.
+  void tell_had(std::int64_t begin_ns, std::int64_t end_ns, std::int64_t had_ns) const;
+  /// For how long jobs of other runs have had the XPU, as far as they are over; of a coordinator that is not shared 0.
+  [[nodiscard]] std::int64_t others_had_ns() const;
+  /// As the machine's service says; empty: nobody says. Takes up to 2 s. Any thread.
+  [[nodiscard]] Neighbours neighbours() const;
   /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for
   /// them.
   void skip(std::uint32_t xnode, std::uint64_t sequence);
@@ -115,7 +131,8 @@ class alignas(64) Port {
   Rules rules_;
   Door door_;
   Hello hello_;
-  UniqueFd socket_, memory_, doorbell_;
+  UniqueFd socket_, memory_, doorbell_, record_fd_;
+  Record record_;  ///< of a shared coordinator; of one whose run is not trusted there is none
   std::shared_ptr<SocketWatch> watch_;
   std::size_t bytes_ = 0;
 };

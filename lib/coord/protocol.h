@@ -16,15 +16,16 @@
 
 namespace xauto::coord {
 
-inline constexpr std::uint32_t kProtocolVersion = 7;
+inline constexpr std::uint32_t kProtocolVersion = 8;
 inline constexpr std::size_t kMaxWorkerName = 64;
 inline constexpr std::size_t kMaxWorkerXNodes = 256;
 inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
 inline constexpr std::size_t kMaxHardwareName = 32;
 
 enum class MessageKind : std::uint32_t {
-  kHello = 1,    ///< worker -> coordinator: Hello
-  kWelcome = 2,  ///< coordinator -> worker: Welcome + {memfd, doorbell eventfd}
+  kHello = 1,  ///< worker -> coordinator: Hello
+  kWelcome =
+      2,  ///< coordinator -> worker: Welcome + {memfd, doorbell eventfd}; {.., record.h} of a shared one
   kRefused = 3,  ///< coordinator -> worker: Refused, then the socket is closed
   kStatus = 4,   ///< anybody -> coordinator: MessageKind alone; answered with JSON text
   kObserve = 5,  ///< worker -> coordinator: MessageKind alone; answered with Welcome + {memfd}

@@ -83,6 +83,10 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
              s.shm_.header->discipline != static_cast<std::uint8_t>(s.options_.discipline)) {
     return fail(ErrorCode::kInvalid, "the shared memory is another app's");
   }
+  s.record_fd_ = UniqueFd(s.options_.record_fd);
+  if (s.options_.shared) {
+    XAUTO_ASSIGN(s.record_, Record::map(s.record_fd_.get(), true));
+  }
   s.referee_.emplace(s.shm_, s.options_.discipline, s.options_.order, s.options_.levels);
   if (filled && s.shm_.header->order == OrderKept::kNotKept) s.referee_->forget_order();
 
@@ -352,14 +356,16 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   if (connection.whose.regulated != 0) {
     if (page == pages_.end() || !welcome_regulated(connection, page->second, slot))
       return refuse("has no process, or too many workers here");
+    if (record_) record_.slot(slot).give(connection.whose.lease);
     return true;
   }
   if (!rejoins) referee_->join(slot);
   connection.slot = slot;
+  std::vector<int> fds = {memory_fd_.get(), doorbell_.get()};
+  if (record_) fds.push_back(record_fd_.get());
+  if (record_ && !rejoins) record_.slot(slot).give(connection.whose.lease);
   const Welcome answer{.slot = static_cast<std::uint32_t>(slot)};
-  return send_packet(connection.socket.get(), &answer, sizeof answer,
-                     {memory_fd_.get(), doorbell_.get()})
-      .has_value();
+  return send_packet(connection.socket.get(), &answer, sizeof answer, fds).has_value();
 }
 
 /// nullptr: there is none.
@@ -405,7 +411,9 @@ void Server::lay_hands(const std::vector<Hand>& hands) {
   const int core = core_number(options_.xpu);
   for (const Hand& hand : hands) {
     SlotInfo& info = slots_[static_cast<std::size_t>(hand.slot)];
-    if (info.page == nullptr || core < 0) continue;
+    if (info.page == nullptr) continue;
+    record(hand);
+    if (core < 0) continue;
     const bool hostile = info.page->hostile(), gives = hand.kind == Hand::Kind::kGive;
     const pid_t named = std::exchange(
         info.named,
@@ -422,6 +430,15 @@ void Server::lay_hands(const std::vector<Hand>& hands) {
       take_core(info.thread, hostile);
     }
   }
+}
+
+/// For how long it has had the XPU: by our clock, for what it says itself is not believed.
+void Server::record(const Hand& hand) {
+  SlotInfo& info = slots_[static_cast<std::size_t>(hand.slot)];
+  const std::int64_t now = now_ns();
+  const std::int64_t since =
+      std::exchange(info.given_ns, hand.kind == Hand::Kind::kGive ? now : std::int64_t{0});
+  if (since != 0 && record_) record_.slot(hand.slot).add(since, now, now - since);
 }
 
 /// What one side keeps and the other does not would leave a job waiting for ever, so whether order
@@ -456,6 +473,7 @@ void Server::leave(int slot) {
   referee_->at(now_ns());
   referee_->leave(slot, info.xnodes, wakes);
   wake(wakes);
+  if (record_) record_.slot(slot).give(0);
   if (info.page == nullptr) return;
   --info.page->workers;
   info = SlotInfo{};

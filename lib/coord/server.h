@@ -21,6 +21,7 @@
 #include "coord/coordinator_side.h"
 #include "coord/pages.h"
 #include "coord/protocol.h"
+#include "coord/record.h"
 #include "coord/shm_layout.h"
 #include "model/xpu_status.h"
 
@@ -36,6 +37,7 @@ struct ServerOptions {
   /// What outlives a coordinator, made by whoever starts it again when it dies: the listening
   /// socket, the shared memory (empty: the first one fills it), the doorbell. -1: made here.
   int listener_fd = -1, memory_fd = -1, doorbell_fd = -1;
+  int record_fd = -1;    ///< of a shared one, likewise: record.h
   bool by_keys = false;  ///< a policy of keys: for people, who are told instants
   int levels = 0;        ///< of kLevels: how many the hardware has
   /// It serves several runs: `listener_fd` is then the socket to the machine's service, which says who comes
@@ -86,6 +88,7 @@ class Server {
     pid_t process = 0;            ///< ... whose process that worker is in, ...
     UniqueFd lives;               ///< ... which is that one as long as this says so,
     pid_t named = 0, thread = 0;  ///< ... and what says START there: as it calls it, and as we do
+    std::int64_t given_ns = 0;    ///< ... and since when it has the XPU; 0: it has not
   };
 
   explicit Server(ServerOptions options);
@@ -96,6 +99,7 @@ class Server {
   [[nodiscard]] const char* fault_of(const Connection& connection, const Hello& hello);
   bool welcome_regulated(Connection& connection, RunPage& page, int slot);
   void lay_hands(const std::vector<Hand>& hands);
+  void record(const Hand& hand);
   void hear_doorbell(RunPage& page);
   void set_alarm();
   [[nodiscard]] bool agree_on_order(std::uint32_t num_order);
@@ -110,7 +114,8 @@ class Server {
 
   ServerOptions options_;
   OneThread thread_;
-  UniqueFd epoll_, listener_, memory_fd_, doorbell_, alarm_;
+  UniqueFd epoll_, listener_, memory_fd_, doorbell_, alarm_, record_fd_;
+  Record record_;  ///< of a shared one
   Shm shm_;
   std::size_t bytes_ = 0;
   std::optional<Referee<RealAtomics>> referee_;

@@ -56,7 +56,15 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
     for (const auto& worker : wiring_.workers())
       if (worker->on_core()) on_cores.push_back(worker->times().thread_id());
     threads_ = std::make_unique<ThreadWatch>(std::move(on_cores));
-    foreign_ = std::make_unique<ForeignWatch>(context_.session, context_.board, role_.leads());
+    foreign_ =
+        std::make_unique<ForeignWatch>(context_.session, context_.board, role_.leads(), [this] {
+          const auto& workers = wiring_.workers();
+          const auto shares =
+              std::ranges::find_if(workers, [](const auto& worker) { return worker->shares(); });
+          if (shares == workers.end()) return ForeignWatch::Neighbours();
+          auto told = (*shares)->neighbours();
+          return ForeignWatch::Neighbours{std::move(told.processes), std::move(told.not_kept_off)};
+        });
   }
   std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
@@ -99,7 +107,7 @@ void HangWatch::report(RunReport& into) const {
   if (!threads_) return;
   for (TakenReport& one : threads_->taken()) into.account.taken.push_back(std::move(one));
   add_note(into.account.not_watched, threads_->not_watched());
-  if (std::ranges::any_of(wiring_.workers(), [](const auto& w) { return w->on_shared_core(); }))
+  if (foreign_->is_blind())
     add_note(into.account.not_watched,
              "other runs are admitted to its cores, and nobody tells their jobs from strangers");
 }

@@ -134,16 +134,21 @@ Status Daemons::start_coordinators(const runtime::Session& session, Sockets& soc
 }
 
 Result<UniqueFd> Daemons::start_shared(const std::string& hardware, Discipline discipline,
-                                       int levels) {
+                                       int levels, int record_fd) {
   thread_.check();
   int ends[2];
   if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0)
     return fail(ErrorCode::kIo, std::string("socketpair: ") + strerror(errno));
   UniqueFd ours(ends[0]), its(ends[1]);
   Daemon daemon;
-  daemon.options.argv = {bin_ + "/xauto-coordinator", "--shared-as",
-                         std::to_string(static_cast<int>(discipline)), "--levels",
-                         std::to_string(levels)};
+  daemon.options.argv = {bin_ + "/xauto-coordinator",
+                         "--shared-as",
+                         std::to_string(static_cast<int>(discipline)),
+                         "--levels",
+                         std::to_string(levels),
+                         "--record-fd",
+                         std::to_string(record_fd)};
+  daemon.options.inherit = {record_fd};
   daemon.most_restarts = kMaxSharedRestarts;
   XAUTO_TRY(start_coordinator(std::move(daemon), hardware, std::move(its)));
   return ours;
@@ -165,11 +170,11 @@ pid_t Daemons::pid_of(const std::string& hardware) const {
   return 0;
 }
 
-bool Daemons::idle(const std::string& hardware) const {
+bool Daemons::idle(const std::string& hardware, int but) const {
   const auto found = std::find_if(daemons_.begin(), daemons_.end(), [&](const Daemon& daemon) {
     return daemon.name == name_of_coordinator(hardware);
   });
-  return found == daemons_.end() || found->pulse.idle();
+  return found == daemons_.end() || found->pulse.idle(but);
 }
 
 /// `door`: where who wants it comes in; it outlives the coordinator, as its memory and its doorbell do.

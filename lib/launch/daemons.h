@@ -52,14 +52,15 @@ class Daemons {
   [[nodiscard]] Status start_coordinators(const runtime::Session& session, Sockets& sockets,
                                           int session_fd);
 
-  /// One that several runs share: the socket by which it is told who comes (coord/protocol.h).
+  /// One that several runs share: the socket by which it is told who comes (coord/protocol.h). `record_fd`: memory that
+  /// outlives it (coord/record.h).
   [[nodiscard]] Result<UniqueFd> start_shared(const std::string& hardware, Discipline discipline,
-                                              int levels);
+                                              int levels, int record_fd);
   void end_shared(const std::string& hardware);
   /// Of that shared one; 0: there is none.
   [[nodiscard]] pid_t pid_of(const std::string& hardware) const;
-  /// No job has that XPU, or wants it.
-  [[nodiscard]] bool idle(const std::string& hardware) const;
+  /// No job has that XPU, or wants it, but for one of the slot `but`.
+  [[nodiscard]] bool idle(const std::string& hardware, int but) const;
 
   /// Their ends show here.
   void add_to(std::vector<pollfd>& fds) const;

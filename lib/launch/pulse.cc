@@ -68,8 +68,11 @@ Pulse::~Pulse() {
   if (header_ != nullptr) munmap(const_cast<coord::Header*>(header_), sizeof(coord::Header));
 }
 
-bool Pulse::idle() const {
-  return header_ != nullptr && (header_->owner.load() & ~coord::kParkings) == 0;
+bool Pulse::idle(int but) const {
+  if (header_ == nullptr) return false;
+  const std::uint64_t owner = header_->owner.load() & ~coord::kParkings;
+  const bool alone = (owner & (coord::kFat | coord::kParked | coord::kTaken)) == 0;
+  return owner == 0 || (but >= 0 && alone && coord::owner_slot(owner) == but);
 }
 
 bool Pulse::hangs(pid_t coordinator, std::int64_t now_ns) {

@@ -48,8 +48,8 @@ class Pulse {
 
   /// Whether `coordinator` hangs. A Pulse that observes nothing never says so.
   [[nodiscard]] bool hangs(pid_t coordinator, std::int64_t now_ns);
-  /// No job has its XPU, or wants it.
-  [[nodiscard]] bool idle() const;
+  /// No job has its XPU, or wants it, but for one of this slot.
+  [[nodiscard]] bool idle(int but) const;
 
  private:
   const coord::Header* header_ = nullptr;

@@ -95,11 +95,15 @@ void charge_all(Demand& demand, const std::set<std::string>& hardware) {
   }
 }
 
-RaisedProcess::RaisedProcess(int socket, pid_t pid)
+RunProcess::RunProcess(int socket, pid_t pid)
     : pid_(pid), fd_(coord::process_behind(socket, pid)) {}
 
-void RaisedProcess::lower() const {
-  if (coord::lives(fd_.get())) coord::take_cores(pid_);
+bool RunProcess::lives() const {
+  return coord::lives(fd_.get());
+}
+
+void RunProcess::lower() const {
+  if (lives()) coord::take_cores(pid_);
 }
 
 }  // namespace xauto::launch

@@ -38,11 +38,13 @@ struct Trust {
 /// Beside one who is cut: each job pays for a preemption.
 void charge_all(Demand& demand, const std::set<std::string>& hardware);
 
-/// A process whose threads a coordinator may have raised. Lowers them, unless it has ended.
-class RaisedProcess {
+/// A process of a run that has come to a coordinator.
+class RunProcess {
  public:
   /// Who is behind this connection.
-  RaisedProcess(int socket, pid_t pid);
+  RunProcess(int socket, pid_t pid);
+  [[nodiscard]] bool lives() const;
+  /// Its threads, which a coordinator may have raised, unless it has ended.
   void lower() const;
   [[nodiscard]] pid_t pid() const { return pid_; }
 

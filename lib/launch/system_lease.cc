@@ -16,16 +16,16 @@ namespace xauto::launch {
 namespace {
 
 constexpr std::int64_t kAgainNs = 50'000'000;
-constexpr int kStatusMs = 2'000;
+constexpr int kWatchMs = 2'000;
 constexpr int kAnswerMs = 60'000;  ///< the test of many jobs takes its time
 
-Result<UniqueFd> connect_to_service(const std::string& path) {
+Status may_ask(const std::string& path) {
   if (access(path.c_str(), F_OK) != 0)
     return fail(ErrorCode::kNotFound, "no service of the machine listens there", path);
   if (access(path.c_str(), W_OK) != 0)
     return fail(ErrorCode::kPermission, "this user may not use the machine's coordinators", path,
                 "who may is in the socket's group: `sudo adduser $USER xauto`, and log in again");
-  return connect_path(path);
+  return {};
 }
 
 }  // namespace
@@ -45,22 +45,45 @@ std::vector<JoinXpu> shareable_xpus(const runtime::Session& session) {
     xpu.discipline = static_cast<std::uint32_t>(discipline);
     xpu.levels = xpu::levels_of(spec, false);
     xpu.preempt_us = spec.preempt_us;
+    std::strncpy(xpu.type, spec.type.c_str(), sizeof xpu.type - 1);
+    const auto all = session.platform.xpus.begin();
+    xpu.instance = static_cast<std::int32_t>(
+        std::count_if(all, all + static_cast<std::ptrdiff_t>(x),
+                      [&](const Xpu& other) { return other.type == spec.type; }));
   }
   return found;
 }
 
 Result<Json> ask_who_is_there(const std::string& path) {
-  XAUTO_ASSIGN(const UniqueFd socket, connect_to_service(path));
-  const auto ask = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
+  XAUTO_TRY(may_ask(path));
+  return coord::ask_machine(path);
+}
+
+Result<std::map<std::string, coord::Record>> watch_machine(const std::string& path) {
+  XAUTO_TRY(may_ask(path));
+  XAUTO_ASSIGN(const UniqueFd socket, connect_path(path));
+  const auto ask = static_cast<std::uint32_t>(SystemWord::kWatch);
   XAUTO_TRY(send_packet(socket.get(), &ask, sizeof ask));
-  if (!wait_readable(socket.get(), kStatusMs))
+  if (!wait_readable(socket.get(), kWatchMs))
     return fail(ErrorCode::kTimeout, "did not answer", path);
   std::string text(coord::kMaxStatusBytes, '\0');
-  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size()));
+  std::vector<UniqueFd> fds;
+  XAUTO_ASSIGN(const std::size_t size,
+               receive_packet(socket.get(), text.data(), text.size(), &fds));
   text.resize(size);
-  auto told = Json::parse(text);
-  if (!told) return fail(ErrorCode::kUnavailable, "answered with something else than JSON", path);
-  return *std::move(told);
+  const Json told = Json::parse(text).value_or(Json());
+  if (!told.at("trusted").boolean().value_or(true))
+    return fail(ErrorCode::kPermission, "runs of this user are not trusted there", path,
+                "`xauto top` shows the shares of all");
+  if (told.at("xpus").elements().size() != fds.size())
+    return fail(ErrorCode::kUnavailable, "answered with an unknown message", path,
+                "use one build of XAuto");
+  std::map<std::string, coord::Record> records;
+  for (std::size_t i = 0; i < fds.size(); ++i) {
+    XAUTO_ASSIGN(coord::Record record, coord::Record::map(fds[i].get(), false));
+    records[told.at("xpus").elements()[i].text().value_or("?")] = std::move(record);
+  }
+  return records;
 }
 
 bool is_regulated(const std::string& path) {
@@ -94,7 +117,8 @@ Result<SystemLease> SystemLease::ask_once(const LeaseRequest& request, bool& lat
                 request.app);
   SystemLease lease;
   lease.path_ = request.path;
-  XAUTO_ASSIGN(lease.socket_, connect_to_service(request.path));
+  XAUTO_TRY(may_ask(request.path));
+  XAUTO_ASSIGN(lease.socket_, connect_path(request.path));
   Join join{.num_xnodes = request.num_xnodes,
             .num_xpus = static_cast<std::uint32_t>(request.xpus.size()),
             .demand_bytes = static_cast<std::uint32_t>(demand.size()),

@@ -11,6 +11,7 @@
 
 #include "base/unique_fd.h"
 #include "coord/door.h"
+#include "coord/record.h"
 #include "launch/system_protocol.h"
 #include "model/json_value.h"
 #include "session/session.h"
@@ -32,9 +33,11 @@ struct LeaseRequest {
 /// ext) is none. After decide_cpu_by_keys().
 [[nodiscard]] std::vector<JoinXpu> shareable_xpus(const runtime::Session& session);
 
-/// Who is there, as the service says: `apps` with app, uid and xpus, `coordinators` with xpu, pid
-/// and discipline. Errors as below.
+/// Who is there, as the service says (docs/monitoring.md has what). Errors as below.
 [[nodiscard]] Result<Json> ask_who_is_there(const std::string& path);
+/// By XPU of the machine, who has it and when: of all who have joined. Errors as below; kPermission also where runs of
+/// this user are not trusted.
+[[nodiscard]] Result<std::map<std::string, coord::Record>> watch_machine(const std::string& path);
 /// Runs of this user are not trusted there: each gets a page of its own, and has its XPUs for what it asks for, and no
 /// longer. False also where nobody answers.
 [[nodiscard]] bool is_regulated(const std::string& path);

@@ -4,6 +4,8 @@
 //                                     where it ends, the run has gone
 //   coord::Attach                     a worker of such a run: the connection goes on to the coordinator
 //   MessageKind::kStatus alone        anybody: answered with JSON text
+//   SystemWord::kWatch alone          whose runs are trusted: answered with JSON text, and for each of its `xpus` a record
+//                                     (coord/record.h) that can only be read
 // No descriptor is taken from anybody: to close one may wait for a stranger.
 #pragma once
 
@@ -15,7 +17,7 @@
 
 namespace xauto::launch {
 
-inline constexpr std::uint32_t kSystemVersion = 2;
+inline constexpr std::uint32_t kSystemVersion = 3;
 inline constexpr const char* kSystemSocket = "/run/xauto/coordinator.sock";
 inline constexpr std::size_t kMaxLeaseXpus = 64;
 inline constexpr std::size_t kMaxLeaseName = 64;
@@ -26,14 +28,18 @@ enum class SystemWord : std::uint32_t {
   kJoin = 0x10,
   kAdmitted = 0x11,
   kNotAdmitted = 0x12,
+  kWatch = 0x13,
 };
 
 struct JoinXpu {
   char id[kMaxLeaseName] = {};                  ///< of the platform that the demand is of, "cpu0"
   char hardware[coord::kMaxHardwareName] = {};  ///< what that is on this machine, "core3"
-  std::uint32_t discipline = 0;                 ///< xauto::Discipline
-  std::int32_t levels = 0;                      ///< of Discipline::kLevels
-  std::int64_t preempt_us = 0;                  ///< as its platform says
+  char type[16] = {};                           ///< "cpu", "gpu"; cut off
+  std::int32_t instance = 0;                    ///< of that type
+  std::uint32_t pad = 0;
+  std::uint32_t discipline = 0;  ///< xauto::Discipline
+  std::int32_t levels = 0;       ///< of Discipline::kLevels
+  std::int64_t preempt_us = 0;   ///< as its platform says
 };
 
 /// An XNode of a run that is not trusted. The XNode's number is the app's.

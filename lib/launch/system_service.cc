@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <map>
 #include <utility>
@@ -10,9 +11,11 @@
 #include <fcntl.h>
 #include <sys/random.h>
 #include <sys/socket.h>
+#include <sys/un.h>
 
 #include "base/clock.h"
 #include "base/core_levels.h"
+#include "base/memory_file.h"
 #include "base/rt.h"
 #include "base/socket.h"
 #include "coord/core_thread.h"
@@ -32,6 +35,9 @@ constexpr std::int64_t kGuestNs =
 constexpr std::size_t kMaxRunProcesses = 64;
 constexpr int kServiceLookMs = 200;
 constexpr std::int64_t kMomentNs = 200'000'000;
+/// A test that takes longer is not made only to tell somebody a number.
+constexpr std::int64_t kSlackNs = 20'000'000;
+constexpr std::size_t kMostShown = 64;  ///< XPUs whose records go with one answer
 
 template <std::size_t Bytes>
 bool ends(const char (&text)[Bytes]) {
@@ -86,9 +92,11 @@ SystemService::SystemService(SystemOptions options)
     : options_(std::move(options)), daemons_(options_.bin, notes_), refusals_("system") {}
 
 SystemService::~SystemService() {
+  for (auto& [hardware, shared] : shared_) shared.foreign.reset();
   daemons_.stop(kGraceMs);
   for (const auto& [number, lease] : leases_)
-    for (const RaisedProcess& process : lease.processes) process.lower();
+    if (lease.regulated())
+      for (const RunProcess& process : lease.processes) process.lower();
 }
 
 void SystemService::run(int stop_fd) {
@@ -176,6 +184,10 @@ bool SystemService::hear_guest(Guest& guest) {
   if (kind == static_cast<std::uint32_t>(coord::MessageKind::kStatus)) {
     const std::string text = status(guest.uid);
     (void)send_packet(fd, text.data(), text.size());
+    return false;
+  }
+  if (kind == static_cast<std::uint32_t>(SystemWord::kWatch)) {
+    show_records(fd, guest.uid);
     return false;
   }
   if (kind == static_cast<std::uint32_t>(coord::MessageKind::kAttach) &&
@@ -282,6 +294,8 @@ Result<std::uint32_t> SystemService::admit(Guest& guest, bool& later) {
   } else {
     XAUTO_ASSIGN(lease.demand, demand_here(join, guest.demand));
   }
+  for (std::uint32_t i = 0; i < join.num_xpus; ++i)
+    if (may_suspend_foreign(join.xpus[i])) lease.beside_foreign.insert(join.xpus[i].hardware);
   Status fits = test(lease, true, false);
   if (!fits && !lease.regulated() && test(lease, false, false)) {
     // Who is trusted finds the machine as if nobody else were there.
@@ -295,15 +309,18 @@ Result<std::uint32_t> SystemService::admit(Guest& guest, bool& later) {
     later = !still.has_value();
     if (later) return tl::unexpected<Error>(std::move(still).error());
   }
-  const auto first = room_for(join.num_xnodes);
-  if (!first) return fail(ErrorCode::kUnavailable, "the runs that are there have too many XNodes");
-  lease.first_xnode = *first;
   if (getrandom(&lease.secret, sizeof lease.secret, 0) != sizeof lease.secret)
     return fail(ErrorCode::kIo, std::string("getrandom: ") + strerror(errno));
-  if (Status shared = share(join); !shared) {
+  Status shared = share(join);
+  const auto first = room_for(join.num_xnodes);
+  if (shared && !first)
+    shared = fail(ErrorCode::kUnavailable, "the runs that are there have too many XNodes");
+  if (!shared) {
     stop_unused();
     return tl::unexpected<Error>(std::move(shared).error());
   }
+  lease.first_xnode = *first;
+  forget_slack();
   leases_.emplace(++last_lease_, std::move(lease));
   regulate(last_lease_, join);
   return last_lease_;
@@ -323,6 +340,8 @@ Status SystemService::test(const Leased& newcomer, bool with_regulated, bool wit
   if (with_departed)
     for (const Departed& other : departed_) add(other.demand, other.regulated);
   add(newcomer.demand, newcomer.regulated());
+  // Work of others is preempted by any job, too.
+  cut.insert(newcomer.beside_foreign.begin(), newcomer.beside_foreign.end());
   for (Demand& demand : demands) charge_all(demand, cut);
   return options_.admission(demands);
 }
@@ -355,10 +374,67 @@ Status SystemService::share(const Join& join) {
                         " there, and is " + to_string(discipline) + " to this run");
       continue;
     }
-    XAUTO_ASSIGN(UniqueFd control, daemons_.start_shared(hardware, discipline, levels));
-    shared_[hardware] = {.discipline = discipline, .levels = levels, .control = std::move(control)};
+    XAUTO_ASSIGN(UniqueFd record_fd, sealed_memory("xauto-record", coord::Record::kBytes));
+    XAUTO_ASSIGN(coord::Record record, coord::Record::map(record_fd.get(), false));
+    XAUTO_ASSIGN(UniqueFd control,
+                 daemons_.start_shared(hardware, discipline, levels, record_fd.get()));
+    shared_[hardware] = {.discipline = discipline,
+                         .levels = levels,
+                         .control = std::move(control),
+                         .record_fd = std::move(record_fd),
+                         .record = std::move(record),
+                         .slack = {}};
+    if (may_suspend_foreign(join.xpus[i])) suspend_foreign(join.xpus[i]);
   }
   return {};
+}
+
+bool SystemService::may_suspend_foreign(const JoinXpu& xpu) const {
+  const std::string type = ends(xpu.type) ? xpu.type : "";
+  return options_.suspend_foreign && (type == "gpu" || type == "dla") &&
+         xpu.discipline == static_cast<std::uint32_t>(Discipline::kPreemptive);
+}
+
+/// Of an XPU that nobody has yet.
+void SystemService::suspend_foreign(const JoinXpu& xpu) {
+  const bool gpu = std::string(xpu.type) == "gpu";
+  const auto room = room_for(1);
+  sockaddr_un self{};
+  socklen_t bytes = sizeof self;
+  if (!room ||
+      getsockname(options_.listener.get(), reinterpret_cast<sockaddr*>(&self), &bytes) != 0)
+    return;
+  Shared& shared = shared_.at(xpu.hardware);
+  shared.foreign_lease = {.number = ++last_lease_, .first_xnode = *room, .num_xnodes = 1};
+  if (getrandom(&shared.foreign_lease.secret, sizeof shared.foreign_lease.secret, 0) < 0) return;
+  const coord::Door door{
+      .path = self.sun_path, .name = xpu.hardware, .lease = shared.foreign_lease};
+  auto work =
+      ForeignWork::start({.door = door.to_text(),
+                          .type = gpu ? kernel::QueueType::kGpuTsg : kernel::QueueType::kDla,
+                          .instance = gpu ? -1 : xpu.instance});
+  if (!work) {
+    log::warn("work of others on {} is not suspended: {}", xpu.hardware, words_of(work.error()));
+    return;
+  }
+  shared.foreign = std::move(*work);
+  tell_who_joined();
+}
+
+void SystemService::tell_who_joined() {
+  std::set<pid_t> joined;
+  for (const auto& [number, lease] : leases_)
+    for (const RunProcess& process : lease.processes) joined.insert(process.pid());
+  for (const auto& [hardware, shared] : shared_)
+    if (shared.foreign) shared.foreign->set_joined(joined);
+}
+
+void SystemService::hand_on_foreign(UniqueFd worker, const coord::Attach& attach,
+                                    const Shared& shared) {
+  const coord::Adopt adopt{
+      .lease = attach.lease, .first_xnode = shared.foreign_lease.first_xnode, .num_xnodes = 1};
+  if (shared.foreign_lease.secret == attach.secret)
+    (void)send_packet(shared.control.get(), &adopt, sizeof adopt, {worker.get()});
 }
 
 /// The first XNode of a run with so many: runs' numbers do not overlap.
@@ -366,6 +442,11 @@ std::optional<std::uint32_t> SystemService::room_for(std::uint32_t num_xnodes) c
   std::vector<std::pair<std::uint32_t, std::uint32_t>> taken;
   for (const auto& [number, lease] : leases_)
     taken.emplace_back(lease.first_xnode, lease.first_xnode + lease.num_xnodes);
+  for (const auto& [hardware, shared] : shared_) {
+    const coord::Lease& foreign = shared.foreign_lease;
+    if (foreign.number != 0)
+      taken.emplace_back(foreign.first_xnode, foreign.first_xnode + foreign.num_xnodes);
+  }
   std::sort(taken.begin(), taken.end());
   std::uint32_t first = 0;
   for (const auto& [begin, end] : taken) {
@@ -382,19 +463,24 @@ void SystemService::hand_on(UniqueFd worker, uid_t uid, const coord::Attach& att
   const auto shared = shared_.find(hardware);
   if (attach.version != coord::kProtocolVersion)
     return refuse_worker(worker.get(), "another protocol version");
+  if (shared != shared_.end() && attach.lease != 0 &&
+      shared->second.foreign_lease.number == attach.lease)
+    return hand_on_foreign(std::move(worker), attach, shared->second);
   if (lease == leases_.end() || lease->second.secret != attach.secret || lease->second.uid != uid)
     return refuse_worker(worker.get(), "the run has no lease here: its service has begun again");
   if (shared == shared_.end() || !has(lease->second.demand, hardware))
     return refuse_worker(worker.get(), "the run has joined without this XPU");
-  if (Leased& run = lease->second; run.regulated()) {
-    const auto peer = peer_of(worker.get());
-    const auto same = [&](const RaisedProcess& process) { return process.pid() == peer->pid; };
-    if (!peer || peer->pid <= 0) return refuse_worker(worker.get(), "its process is not seen");
-    if (std::none_of(run.processes.begin(), run.processes.end(), same)) {
-      if (run.processes.size() >= kMaxRunProcesses)
-        return refuse_worker(worker.get(), "the run has too many processes");
-      run.processes.emplace_back(worker.get(), peer->pid);
-    }
+  Leased& run = lease->second;
+  const auto peer = peer_of(worker.get());
+  const bool seen = peer && peer->pid > 0;
+  const auto same = [&](const RunProcess& process) { return process.pid() == peer->pid; };
+  if (run.regulated() && !seen) return refuse_worker(worker.get(), "its process is not seen");
+  std::erase_if(run.processes, [](const RunProcess& process) { return !process.lives(); });
+  if (seen && std::none_of(run.processes.begin(), run.processes.end(), same)) {
+    if (run.processes.size() >= kMaxRunProcesses)
+      return refuse_worker(worker.get(), "the run has too many processes");
+    run.processes.emplace_back(worker.get(), peer->pid);
+    tell_who_joined();
   }
   const coord::Adopt adopt{.lease = attach.lease,
                            .first_xnode = lease->second.first_xnode,
@@ -409,6 +495,8 @@ void SystemService::end(std::uint32_t number) {
   const auto found = leases_.find(number);
   const Leased lease = std::move(found->second);
   leases_.erase(found);
+  forget_slack();
+  tell_who_joined();
   departed_.push_back({lease.demand, lease.regulated(), now_ns() + kMomentNs});
   const coord::Adopt over{.kind = static_cast<std::uint32_t>(coord::MessageKind::kEndLease),
                           .lease = number};
@@ -416,7 +504,8 @@ void SystemService::end(std::uint32_t number) {
     if (const auto shared = shared_.find(on.xpu.id); shared != shared_.end())
       (void)send_packet(shared->second.control.get(), &over, sizeof over);
   stop_unused();
-  for (const RaisedProcess& process : lease.processes) process.lower();
+  if (lease.regulated())
+    for (const RunProcess& process : lease.processes) process.lower();
   log::info("app '{}'{} has left", lease.app, of_uid(lease.uid));
 }
 
@@ -434,28 +523,103 @@ void SystemService::stop_unused() {
       ++shared;
       continue;
     }
+    shared->second.foreign.reset();
     daemons_.end_shared(shared->first);
     shared = shared_.erase(shared);
   }
 }
 
-std::string SystemService::status(uid_t uid) const {
-  Json apps = Json::array();
-  for (const auto& [number, lease] : leases_) {
-    Json xpus = Json::array();
-    for (const DemandOnXpu& on : lease.demand.xpus) xpus.push_back(on.xpu.id);
-    apps.push_back(
-        {{"app", lease.app}, {"uid", lease.uid}, {"xpus", xpus}, {"regulated", lease.regulated()}});
-  }
+/// docs/monitoring.md says what the numbers are.
+std::string SystemService::status(uid_t uid) {
   Json coordinators = Json::array();
-  for (const auto& [hardware, shared] : shared_)
+  for (auto& [hardware, shared] : shared_) {
+    if (!shared.slack) shared.slack = slack_of(hardware);
     coordinators.push_back({{"xpu", hardware},
                             {"pid", daemons_.pid_of(hardware)},
-                            {"discipline", to_string(shared.discipline)}});
-  return Json({{"apps", apps},
-               {"coordinators", coordinators},
-               {"you_are_regulated", !options_.trust.trusts(uid)}})
-      .dump();
+                            {"discipline", to_string(shared.discipline)},
+                            {"slack_pct", *shared.slack ? Json(**shared.slack) : Json()}});
+    if (!shared.foreign) continue;
+    const ForeignWork::Told told = shared.foreign->told();
+    coordinators.elements().back()["foreign"] = {{"queues", told.queues},
+                                                 {"suspensions", told.suspensions},
+                                                 {"not_kept_off", told.not_kept_off}};
+  }
+  Json all{{"at_us", now_ns() / 1000},
+           {"apps", Json::array()},
+           {"left_out", 0},
+           {"coordinators", std::move(coordinators)},
+           {"you_are_regulated", !options_.trust.trusts(uid)}};
+  std::string text = all.dump();
+  std::size_t bytes = text.size();
+  int left_out = 0;
+  for (const auto& [number, lease] : leases_) {
+    Json app = status_of(number, lease);
+    const std::size_t more = app.dump().size() + 8;
+    if (bytes + more > coord::kMaxStatusBytes) {
+      ++left_out;
+      continue;
+    }
+    bytes += more;
+    all["apps"].push_back(std::move(app));
+  }
+  all["left_out"] = left_out;
+  return all.dump();
+}
+
+Json SystemService::status_of(std::uint32_t number, const Leased& lease) const {
+  Json xpus = Json::array(), pids = Json::array();
+  for (const DemandOnXpu& on : lease.demand.xpus) {
+    const coord::Record::Had had = shared_.at(on.xpu.id).record.had(number);
+    xpus.push_back({{"xpu", on.xpu.id},
+                    {"admitted_pct", std::round(utilisation(on) * 10'000) / 100},
+                    {"had_us", had.ns / 1000},
+                    {"times", had.times}});
+  }
+  for (const RunProcess& process : lease.processes)
+    if (process.lives()) pids.push_back(process.pid());
+  return {{"lease", number},         {"app", lease.app},
+          {"uid", lease.uid},        {"regulated", lease.regulated()},
+          {"xpus", std::move(xpus)}, {"pids", std::move(pids)}};
+}
+
+/// Of all who are there. Where the demand test alone takes long, nobody waits for it for the sake of a number.
+Result<int> SystemService::slack_of(const std::string& hardware) const {
+  std::vector<Demand> demands;
+  bool cut = false;
+  for (const auto& [number, lease] : leases_)
+    for (const DemandOnXpu& on : lease.demand.xpus) {
+      if (on.xpu.id != hardware) continue;
+      demands.push_back({lease.demand.ticks_per_us, {on}});
+      cut = cut || lease.regulated() || lease.beside_foreign.contains(hardware);
+    }
+  if (cut)
+    for (Demand& demand : demands) charge_all(demand, {hardware});
+  const std::int64_t since = now_ns();
+  XAUTO_TRY(options_.admission(demands));
+  if (!options_.slack || now_ns() - since > kSlackNs)
+    return fail(ErrorCode::kTimeout, "takes too long", hardware);
+  return options_.slack(demands);
+}
+
+void SystemService::forget_slack() {
+  for (auto& [hardware, shared] : shared_) shared.slack.reset();
+}
+
+void SystemService::show_records(int socket, uid_t uid) const {
+  Json xpus = Json::array();
+  std::vector<UniqueFd> records;
+  std::vector<int> fds;
+  const bool trusted = options_.trust.trusts(uid);
+  for (const auto& [hardware, shared] : shared_) {
+    if (!trusted || fds.size() == kMostShown) break;
+    auto record = read_only(shared.record_fd.get());
+    if (!record) continue;
+    xpus.push_back(hardware);
+    fds.push_back(record->get());
+    records.push_back(std::move(*record));
+  }
+  const std::string text = Json({{"xpus", xpus}, {"trusted", trusted}}).dump();
+  (void)send_packet(socket, text.data(), text.size(), fds);
 }
 
 /// One that nobody uses any more has no coordinator.
@@ -463,8 +627,11 @@ void SystemService::forget_departed() {
   const std::int64_t now = now_ns();
   for (Departed& one : departed_)
     if (now >= one.look_ns)
-      std::erase_if(one.demand.xpus,
-                    [&](const DemandOnXpu& on) { return daemons_.idle(on.xpu.id); });
+      std::erase_if(one.demand.xpus, [&](const DemandOnXpu& on) {
+        const auto shared = shared_.find(on.xpu.id);
+        const bool foreign = shared != shared_.end() && shared->second.foreign;
+        return daemons_.idle(on.xpu.id, foreign ? shared->second.foreign->slot() : -1);
+      });
   std::erase_if(departed_, [](const Departed& one) { return one.demand.xpus.empty(); });
 }
 

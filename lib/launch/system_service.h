@@ -11,6 +11,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -22,10 +23,13 @@
 #include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "coord/door.h"
+#include "coord/record.h"
 #include "launch/daemons.h"
+#include "launch/foreign_work.h"
 #include "launch/regulated.h"
 #include "launch/system_protocol.h"
 #include "model/demand.h"
+#include "model/json_value.h"
 
 namespace xauto::launch {
 
@@ -33,11 +37,18 @@ namespace xauto::launch {
 /// are. Throws nothing; takes seconds at most.
 using Admission = std::function<Status(const std::vector<Demand>& demands)>;
 
+/// What these, each of that one XPU, leave of it, in percent (solver/keys/check.h); an error: nobody can say.
+using Slack = std::function<Result<int>(const std::vector<Demand>& demands)>;
+
 struct SystemOptions {
   std::string bin;    ///< folder with xauto-coordinator
   UniqueFd listener;  ///< listens
   Admission admission;
+  Slack slack = {};
   Trust trust = {};
+  /// On a Jetson's GPU and DLAs, work of processes that know nothing of XAuto is suspended while a job has the XPU
+  /// (foreign_work.h).
+  bool suspend_foreign = false;
 };
 
 /// Threads: one, which must live as long as the service.
@@ -71,8 +82,9 @@ class SystemService {
     std::uint32_t first_xnode = 0, num_xnodes = 0;
     std::string app;
     Demand demand;                         ///< of each XPU that it has
-    std::vector<LeaseTask> tasks;          ///< of a run that is not trusted, ...
-    std::vector<RaisedProcess> processes;  ///< ... and who has come for it
+    std::vector<LeaseTask> tasks;          ///< of a run that is not trusted
+    std::vector<RunProcess> processes;     ///< that have come for it
+    std::set<std::string> beside_foreign;  ///< XPUs where work of others is suspended
     [[nodiscard]] bool regulated() const { return !tasks.empty(); }
   };
   /// A run that has left, with those XPUs of it that have not been idle since.
@@ -84,7 +96,11 @@ class SystemService {
   struct Shared {
     Discipline discipline = Discipline::kGate;
     int levels = 0;
-    UniqueFd control;
+    UniqueFd control, record_fd;
+    coord::Record record;
+    coord::Lease foreign_lease = {};            ///< of the work of others, ...
+    std::unique_ptr<ForeignWork> foreign = {};  ///< ... where that is suspended
+    std::optional<Result<int>> slack;  ///< none: nobody has asked since somebody came or left
   };
 
   void accept_guests();
@@ -98,13 +114,21 @@ class SystemService {
   [[nodiscard]] Status share(const Join& join);
   void regulate(std::uint32_t lease, const Join& join);
   [[nodiscard]] std::optional<std::uint32_t> room_for(std::uint32_t num_xnodes) const;
+  [[nodiscard]] bool may_suspend_foreign(const JoinXpu& xpu) const;
+  void suspend_foreign(const JoinXpu& xpu);
+  void hand_on_foreign(UniqueFd worker, const coord::Attach& attach, const Shared& shared);
+  void tell_who_joined();
   void hand_on(UniqueFd worker, uid_t uid, const coord::Attach& attach);
   void end(std::uint32_t lease);
   void end_regulated();
   void stop_unused();
   void forget_departed();
   [[nodiscard]] bool used(const std::string& hardware) const;
-  [[nodiscard]] std::string status(uid_t uid) const;
+  [[nodiscard]] std::string status(uid_t uid);
+  [[nodiscard]] Json status_of(std::uint32_t number, const Leased& lease) const;
+  [[nodiscard]] Result<int> slack_of(const std::string& hardware) const;
+  void forget_slack();
+  void show_records(int socket, uid_t uid) const;
 
   OneThread thread_;
   SystemOptions options_;

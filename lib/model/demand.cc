@@ -38,6 +38,18 @@ Status validate_sequence(const DemandSequence& sequence, const std::string& wher
 
 }  // namespace
 
+double utilisation(const DemandOnXpu& on) {
+  double sum = 0;
+  for (const DemandSequence& sequence : on.sequences) {
+    double work = 0;
+    for (const DemandJob& job : sequence.jobs) work += static_cast<double>(job.work);
+    const double shortest =
+        static_cast<double>(sequence.period) * (1 - static_cast<double>(sequence.ppm) * 1e-6);
+    if (!sequence.once) sum += work / shortest;
+  }
+  return sum;
+}
+
 Status has_demand(const AppSpec& app) {
   if (!app.one_at_a_time) return {};
   return fail(ErrorCode::kInvalid,

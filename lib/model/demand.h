@@ -61,6 +61,9 @@ inline constexpr std::size_t kMaxDemandJobs = 400'000;    ///< of one sequence
 inline constexpr std::int64_t kMaxDemandTicks = std::int64_t{1} << 53;
 inline constexpr int kMaxReservePct = 90;
 
+/// Of the time of its XPU, what its jobs ask for in the long run, with the preemptions that they are charged: work per
+/// period. Urgent releases take the place of others and are not counted.
+[[nodiscard]] double utilisation(const DemandOnXpu& on);
 /// kInvalid: its sources have no rate. It releases as soon as it can, so no demand bounds it.
 [[nodiscard]] Status has_demand(const AppSpec& app);
 /// XPUs and times as above, each XPU once; ready < key, start <= ready, work from 1.

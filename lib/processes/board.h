@@ -271,9 +271,13 @@ struct alignas(64) XpuLine {
   /// the core meanwhile; the most that these took of one; and who was seen there.
   std::atomic<std::uint64_t> crowded{};
   std::atomic<std::int64_t> crowded_ns{};
-  void crowd(std::int64_t others_ns) {
-    crowded.fetch_add(1, std::memory_order_relaxed);
-    keep_largest(crowded_ns, others_ns);
+  /// Where other runs are `admitted` it counts only once a stranger has been seen: what others had is not
+  /// known to the microsecond.
+  std::atomic<std::uint64_t> suspected{};
+  std::atomic<std::int64_t> suspected_ns{};
+  void crowd(std::int64_t others_ns, bool admitted) {
+    (admitted ? suspected : crowded).fetch_add(1, std::memory_order_relaxed);
+    keep_largest(admitted ? suspected_ns : crowded_ns, others_ns);
   }
   /// [H] of another run that has it, too. As `crowd_by` written once, and then told.
   char shared_with[kBoardNameBytes] = {}, crowd_by[kBoardNameBytes] = {};

@@ -58,7 +58,8 @@ std::int64_t JobTimes::on_core_ns(std::int64_t wall_ns, XNodeLine& line, Without
 /// and told its CPU time then: what is left, nobody of this run had.
 std::int64_t JobTimes::tell_waited(std::int64_t without_core_ns, XNodeLine& line) {
   if (on_.counts == nullptr) return 0;
-  const std::int64_t others_ns = on_.counts->busy_ns.load() - cpu_told_ns_;
+  const std::int64_t others_ns =
+      on_.counts->busy_ns.load() - cpu_told_ns_ + (on_.shared ? on_.port->others_had_ns() : 0);
   const std::int64_t waited_ns =
       without_core_ns - std::exchange(waited_before_ns_, without_core_ns);
   const std::int64_t by_others_ns = others_ns - std::exchange(others_before_ns_, others_ns);
@@ -73,6 +74,7 @@ std::int64_t JobTimes::end(const Placed& placed) {
   const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
   if (holds()) on_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
+  if (on_.shared) on_.port->tell_had(watch_.since_ns(), now, wall_ns);
   if (!placed.limited) return without.core_ns;
   const std::int64_t took_ns =
       on_.on_thread ? on_core_ns(wall_ns, *placed.line, without) : own_ns(wall_ns, now);
@@ -92,11 +94,10 @@ std::int64_t JobTimes::end(const Placed& placed) {
     else if (hang_ns == 0 || wall_ns <= hang_ns)  // else its XPU counts as lost
       line.past(charged_ns, placed.table);
   }
-  // Time that strangers take of the XPU is within the certificate as long as the job's WCET covers it, too. Where others
-  // are admitted nobody here knows whose it was.
-  if (wcet_ns > 0 && !on_.shared && !placed.watched && charged_ns <= wcet_ns &&
+  // Time that strangers take of the XPU is within the certificate as long as the job's WCET covers it, too.
+  if (wcet_ns > 0 && !placed.watched && charged_ns <= wcet_ns &&
       charged_ns + without.foreign_ns > wcet_ns)
-    on_.counts->crowd(without.foreign_ns);
+    on_.counts->crowd(without.foreign_ns, on_.shared);
   if (told) line.ended();
   keep_largest(line.longest_ns, charged_ns);
   return without.core_ns;

@@ -88,8 +88,9 @@ class Worker {
   void tell_moved() const;
   /// The work of its jobs is its execution thread.
   [[nodiscard]] bool on_core() const { return backend_ && backend_->on_thread(); }
-  /// ... on which jobs of other runs are admitted, too.
-  [[nodiscard]] bool on_shared_core() const { return on_core() && port_ && port_->shared(); }
+  /// On its XPU jobs of other runs are admitted, too.
+  [[nodiscard]] bool shares() const { return port_ && port_->shared(); }
+  [[nodiscard]] coord::Neighbours neighbours() const { return port_->neighbours(); }
   /// Index into Graph::modules.
   [[nodiscard]] int module() const { return chain_.module; }
 

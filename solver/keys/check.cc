@@ -154,7 +154,9 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Po
   return report;
 }
 
-Status check_together(const std::vector<Demand>& demands) {
+namespace {
+
+Result<checking::Ticks> ticks_of(const std::vector<Demand>& demands) {
   checking::Ticks ticks = 1;
   for (const Demand& demand : demands) {
     XAUTO_TRY(validate(demand));
@@ -163,6 +165,28 @@ Status check_together(const std::vector<Demand>& demands) {
       return fail(ErrorCode::kInvalid, "the ticks of the demands have no multiple that fits",
                   "demands", "state periods as ratios of smaller numbers");
   }
+  return ticks;
+}
+
+}  // namespace
+
+Result<int> slack_together(const std::vector<Demand>& demands) {
+  if (demands.empty() || demands.front().xpus.size() != 1)
+    return fail(ErrorCode::kInvalid, "nothing is asked of one XPU", "demands");
+  XAUTO_TRY(check_together(demands));
+  XAUTO_ASSIGN(const checking::Ticks ticks, ticks_of(demands));
+  Beside all{.demands = demands, .reserve_pct = 0};
+  int fits = 0, too_much = kMaxReservePct + 1;
+  while (too_much - fits > 1) {
+    all.reserve_pct = (fits + too_much) / 2;
+    (checking::prove_together(demands.front().xpus.front().xpu, ticks, all) ? fits : too_much) =
+        all.reserve_pct;
+  }
+  return fits;
+}
+
+Status check_together(const std::vector<Demand>& demands) {
+  XAUTO_ASSIGN(const checking::Ticks ticks, ticks_of(demands));
   if (demands.empty()) return {};
   for (const DemandOnXpu& wanted : demands.back().xpus) {
     Beside all{.demands = {}, .reserve_pct = 0};

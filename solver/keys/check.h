@@ -98,6 +98,12 @@ struct SporadicNeed {
 /// XPU they do not fit, and by how much; kInvalid: they do not agree on what that XPU is.
 [[nodiscard]] Status check_together(const std::vector<Demand>& demands);
 
+/// What all together leave of an XPU that each of them has: the largest reserve in whole percent, 0 to kMaxReservePct, with
+/// which they still have a proof (docs/keys.md, "A reserve"). So, where each job pays for a preemption, the demands D and
+/// the longest blocking B are at most (1 - slack) t in every interval t; newcomers whose own demands are at most slack t
+/// find room as it is said there. kInfeasible: they have no proof without one.
+[[nodiscard]] Result<int> slack_together(const std::vector<Demand>& demands);
+
 /// What a policy states that is not certified: it is for this app, each XNode is where it can run, and its order leaves
 /// a way through. Nothing of times.
 [[nodiscard]] Status check_places(const AppSpec& app, const Platform& platform,

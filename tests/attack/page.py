@@ -35,8 +35,8 @@ class Lease:
     def __init__(self, path, core, xnodes=1, budget=BUDGET_NS, period=PERIOD_NS, preempt_us=0, text=b"attack", patient=True):
         self.path, self.core = path, f"core{core}".encode()
         tasks = b"".join(struct.pack("<IIIIqqqq", 0, 0, x, 0, period, period - 1_000_000, period, budget) for x in range(xnodes))
-        xpu = struct.pack("<64s32sIiq", b"cpu0", self.core, 0, 0, preempt_us)
-        join = struct.pack("<II64sIIII", 0x10, 2, text, xnodes, 1, len(tasks), xnodes) + xpu + bytes(63 * len(xpu))
+        xpu = struct.pack("<64s32s16siIIiq", b"cpu0", self.core, b"cpu", 0, 0, 0, 0, preempt_us)
+        join = struct.pack("<II64sIIII", 0x10, 3, text, xnodes, 1, len(tasks), xnodes) + xpu + bytes(63 * len(xpu))
         until = time.monotonic() + (10 if patient else 0)
         while not (answer := self.ask(join, tasks)):
             time.sleep(0.05)
@@ -71,9 +71,9 @@ class Worker:
     def __init__(self, lease, xnodes, others=0):
         self.lease, self.generation = lease, 0
         self.socket = connect(lease.path)
-        self.socket.send(struct.pack("<IIIIQ32s", 6, 7, lease.number, 0, lease.secret, lease.core))
+        self.socket.send(struct.pack("<IIIIQ32s", 6, 8, lease.number, 0, lease.secret, lease.core))
         named = [lease.first + x + others for x in xnodes]
-        self.socket.send(struct.pack("<II64sIII", 1, 7, b"w", 0, 0, len(named)) + struct.pack(f"<{len(named)}I", *named)
+        self.socket.send(struct.pack("<II64sIII", 1, 8, b"w", 0, 0, len(named)) + struct.pack(f"<{len(named)}I", *named)
                          + bytes(4 * (256 - len(named))))
         answer, fds, *_ = socket.recv_fds(self.socket, 256, 4)
         if len(answer) < 8 or struct.unpack_from("<I", answer)[0] != 2:
@@ -232,10 +232,13 @@ def asks_on(path, core, _):
         # Before Hello, too.
         lease = Lease(path, core, budget=1_000_000)
         other = connect(path)
-        other.send(struct.pack("<IIIIQ32s", 6, 7, lease.number, 0, lease.secret, lease.core))
+        other.send(struct.pack("<IIIIQ32s", 6, 8, lease.number, 0, lease.secret, lease.core))
         other.send(struct.pack("<I", kind))
         answer, fds, *_ = socket.recv_fds(other, 70_000, 4)
         seen[name] += len(answer) + len(fds)
+    service = connect(path)
+    service.send(struct.pack("<I", 0x13))
+    seen["records"] = len(socket.recv_fds(service, 70_000, 4)[1])
     return seen
 
 

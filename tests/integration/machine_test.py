@@ -9,18 +9,8 @@ import sys
 import tempfile
 import unittest
 
-from common import TESTAPP, testapp_files, wait_for, xauto
+from common import HOG, TESTAPP, testapp_files, wait_for, xauto
 
-# Above every thread of a run, on one core: 40 ms it computes, 10 ms it does not.
-HOG = """import os, time
-os.sched_setaffinity(0, {int(__import__("sys").argv[1])})
-os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(98))
-print("there", flush=True)
-while True:
-    end = time.thread_time() + 0.04
-    while time.thread_time() < end: pass
-    time.sleep(0.01)
-"""
 REPORT = "please report this run"
 
 

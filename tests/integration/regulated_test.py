@@ -84,7 +84,7 @@ class Regulated(unittest.TestCase):
         self.assertEqual(self.attack("names_an_xnode"), {"hello": "names an unknown XNode", "granted": False})
 
     def test_nothing_is_told_at_a_coordinator_but_who_one_is(self):
-        self.assertEqual(self.attack("asks_on"), {"observe": 0, "status": 0, "adopt": 0, "regulate": 0})
+        self.assertEqual(self.attack("asks_on"), {"observe": 0, "status": 0, "adopt": 0, "regulate": 0, "records": 0})
 
     def test_who_has_a_core_cannot_make_more_of_it(self):
         seen = self.attack("raises_itself")
@@ -183,11 +183,15 @@ class Regulated(unittest.TestCase):
         ours, theirs = self.run_app("ours", 40_000, 3_000), self.run_app("theirs", 50_000, 4_000, uid=NOBODY)
         self.assertEqual(self.admitted(), {"ours": False, "theirs": True})
         time.sleep(1.5)
+        told = json.loads(xauto("top", "--system", self.socket, "--interval", "500ms", "--json").stdout)["machine"]
+        for app in told["apps"]:  # what is said of theirs is the coordinator's clock
+            self.assertGreater(app["xpus"][0]["had_us"], 10_000, app)
+            self.assertGreater(app["xpus"][0]["times"], 5, app)
         for name, run in ("theirs", theirs), ("ours", ours):
             report = self.report(run, name)
             self.assertEqual(report["lost_activations"], 0)
             self.assertGreater(report["chains"][0]["results"], 10)
-            self.assertIn("nobody tells their jobs from strangers", report["claims"]["not_watched"])
+            self.assertNotIn("strangers", report["claims"].get("not_watched", ""))
 
     def test_who_overruns_ten_times_is_late_alone(self):
         """With `--trust nobody`, of one user. What is late is told by half of the results: this machine may stall."""

@@ -7,11 +7,13 @@ import pathlib
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 import unittest
 
-from common import BIN, FULL, TESTAPP, children_of, system_service, testapp_files, wait_for, xauto
+import pftrace
+from common import BIN, FULL, HOG, TESTAPP, children_of, system_service, testapp_files, wait_for, xauto
 
 
 class System(unittest.TestCase):
@@ -59,6 +61,10 @@ class System(unittest.TestCase):
         told = json.loads(xauto("top", "--system", self.socket, "--interval", "50ms", "--json").stdout)
         return [app["app"] for app in told["machine"]["apps"]]
 
+    def machine(self, *flags):
+        """What xauto top says of the machine over half a second."""
+        return json.loads(xauto("top", "--system", self.socket, "--interval", "500ms", "--json", *flags).stdout)["machine"]
+
     def coordinators(self):
         return [pid for pid, name in children_of(self.service.pid).items() if name.startswith("xauto-coord")]
 
@@ -67,7 +73,8 @@ class System(unittest.TestCase):
         wait_for("both", lambda: sorted(self.admitted()) == ["first", "second"], first)
         self.assertEqual(len(self.coordinators()), 2)  # of a core and of npu0, whoever uses them
         shown = xauto("top", "--system", self.socket, "--once", "--interval", "50ms").stdout
-        self.assertRegex(shown, r"together: first \(uid \d+\) on core\d+, npu0")
+        app = r"    (first|second) \(uid \d+\) +\d+\.\d +(\d+\.\d|-)\n"
+        self.assertRegex(shown, r"(?m)^  core\d+ +\d+\.\d +(\d+\.\d|-) +\d+\n" + 2 * app)
         for pid in self.coordinators():
             self.assertNotIn(f"pid {pid} of", shown)
         said = self.ended(self.start("third", 12_000, 2), "third", status=1)
@@ -76,6 +83,57 @@ class System(unittest.TestCase):
             # Who is admitted is no stranger; tests that run beside this one are.
             self.assertNotIn(f"run {other.pid}-0", " ".join(self.stopped(run, name)["claims"]["broken"]))
         wait_for("nobody", lambda: self.admitted() == [] and self.coordinators() == [])
+
+    def test_shares_and_slack_are_told_and_who_had_an_xpu_is_drawn(self):
+        first, second = (self.start(name, us, flags=("--overload", "queue:64")) for name, us in (("first", 40_000), ("second", 50_000)))
+        wait_for("both", lambda: sorted(self.admitted()) == ["first", "second"], first)
+        def had():
+            on = [xpu["had_pct"] for app in self.machine()["apps"] for xpu in app["xpus"]]
+            return len(on) == 4 and all(on)
+        wait_for("jobs of both on both", had, first)
+        machine = self.machine("--timeline", self.at / "machine.pftrace")
+        self.assertEqual(machine["left_out"], 0)
+        for xpu in machine["coordinators"]:
+            admitted = {app["app"]: on["admitted_pct"] for app in machine["apps"] for on in app["xpus"] if on["xpu"] == xpu["xpu"]}
+            self.assertEqual(sorted(admitted), ["first", "second"])
+            # At t without end what the demands leave is 1 - utilisation: the least over all t is no more.
+            self.assertLessEqual(xpu["slack_pct"], 100 - sum(admitted.values()))
+            self.assertGreaterEqual(xpu["slack_pct"], 0)
+        for app in machine["apps"]:
+            self.assertGreater(len(app["pids"]), 0)
+            for on in app["xpus"]:
+                self.assertGreater(on["admitted_pct"], 0)
+                self.assertTrue(on["had_pct"] is None or 0 <= on["had_pct"] <= 100, on)
+        metrics = xauto("monitor", "--system", self.socket, "--interval", "50ms").stdout
+        self.assertRegex(metrics, r'xauto_machine_slack_ratio\{xpu="core\d+"\} 0\.\d+')
+        self.assertRegex(metrics, r'xauto_machine_had_seconds_total\{app="second",lease="\d+",uid="\d+",xpu="npu0"\} \d')
+        trace = pftrace.Trace((self.at / "machine.pftrace").read_bytes())
+        tracks = {s.track for s in trace.slices if s.track}
+        self.assertEqual(tracks, {xpu["xpu"] for xpu in machine["coordinators"]})
+        for track in tracks:
+            slices = [s for s in trace.slices if s.track == track]
+            self.assertEqual({s.name.split()[0] for s in slices}, {"first", "second"})
+            for before, after in zip(slices, slices[1:]):
+                self.assertLessEqual(before.end, after.begin)
+        for run, name in (first, "first"), (second, "second"):
+            report = self.stopped(run, name)
+            self.assertNotIn("strangers", report["claims"].get("not_watched", ""))
+
+    def test_a_stranger_that_takes_a_core_is_named(self):
+        if os.geteuid() != 0:
+            self.skipTest("only root may take a core from a run")
+        first, second = (self.start(name, us, flags=("--overload", "queue:64")) for name, us in (("first", 40_000), ("second", 50_000)))
+        wait_for("both", lambda: sorted(self.admitted()) == ["first", "second"], first)
+        core = next(int(on["xpu"][4:]) for app in self.machine()["apps"] for on in app["xpus"] if on["xpu"].startswith("core"))
+        hog = subprocess.Popen([sys.executable, "-c", HOG, str(core)], stdout=subprocess.PIPE, text=True)
+        self.addCleanup(hog.stdout.close)
+        self.addCleanup(hog.wait)
+        self.addCleanup(hog.kill)
+        self.assertEqual(hog.stdout.readline(), "there\n")
+        time.sleep(6)
+        hog.kill()
+        words = " ".join(self.stopped(first, "first")["claims"]["broken"] + self.stopped(second, "second")["claims"]["broken"])
+        self.assertIn(f"python3 (pid {hog.pid}, SCHED_FIFO 98)", words)
 
     def test_coordinators_and_runs_that_are_killed_take_nobody_with_them(self):
         first = self.start("first", 40_000, flags=("--overload", "queue:64"))

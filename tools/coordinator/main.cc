@@ -57,7 +57,7 @@ int main(int argc, char** argv) {
                           "xauto-coordinator");
   std::string xpu, address;
   int session_fd = -1, ready_fd = -1, listen_fd = -1, memory_fd = -1, doorbell_fd = -1;
-  int shared_as = -1, levels = 0;
+  int shared_as = -1, levels = 0, record_fd = -1;
   cli.option("--xpu", xpu, "XPU instance, e.g. gpu0").required();
   cli.option("--socket", address, "abstract socket to listen on");
   cli.option("--session-fd", session_fd, "descriptor of the session's text");
@@ -69,6 +69,7 @@ int main(int argc, char** argv) {
   cli.option("--listen-fd", listen_fd, "the socket, listening: it outlives a coordinator");
   cli.option("--memory-fd", memory_fd, "the shared memory, which outlives it, too");
   cli.option("--doorbell-fd", doorbell_fd, "and the doorbell");
+  cli.option("--record-fd", record_fd, "of such an XPU, memory that says who has had it");
   if (const auto status = cli.parse(argc, argv)) return *status;
   if (shared_as < 0 && (session_fd < 0 || address.empty()))
     return complain(xauto::Error{
@@ -83,6 +84,7 @@ int main(int argc, char** argv) {
   options->listener_fd = listen_fd;
   options->memory_fd = memory_fd;
   options->doorbell_fd = doorbell_fd;
+  options->record_fd = record_fd;
   auto server = xauto::coord::Server::create(std::move(*options));
   if (!server) return complain(server.error());
 

@@ -47,11 +47,18 @@ int main(int argc, char** argv) {
   xauto::cli::Program cli("One coordinator per XPU instance of the machine, for all runs that ask.",
                           "xauto-system");
   std::string path = xauto::launch::kSystemSocket, trusted = "all";
+  bool suspend_foreign = false;
   cli.option("--socket", path, "where to listen, unless systemd has the socket").shown();
   cli.option("--trust", trusted,
              "whose runs keep what they state: all who may connect, nobody, or names of users with "
              "commas between "
              "them, beside root and the service's own user. What others ask for is enforced")
+      .shown();
+  cli.flag(
+         "--suspend-foreign", suspend_foreign,
+         "on a Jetson's GPU and DLAs: suspend work of processes that know nothing of XAuto while a "
+         "job of a run that has joined has the XPU. Needs xauto.ko, CAP_SYS_NICE and "
+         "CAP_SYS_PTRACE")
       .shown();
   cli.version("xauto-system " XAUTO_VERSION);
   if (const auto status = cli.parse(argc, argv)) return *status;
@@ -63,7 +70,9 @@ int main(int argc, char** argv) {
   xauto::launch::SystemService service({.bin = xauto::program_directory(),
                                         .listener = std::move(*socket),
                                         .admission = xauto::solver::keys::check_together,
-                                        .trust = std::move(*trust)});
+                                        .slack = xauto::solver::keys::slack_together,
+                                        .trust = std::move(*trust),
+                                        .suspend_foreign = suspend_foreign});
   service.run(stop.get());
   return 0;
 }

@@ -24,11 +24,13 @@
 
 #include "base/clock.h"
 #include "base/log.h"
+#include "launch/system_protocol.h"
 
 #include "xauto/command.h"
 #include "xauto/diagnostics.h"
 #include "xauto/diagnostics_topic.h"
 #include "xauto/live.h"
+#include "xauto/machine.h"
 #include "xauto/metrics.h"
 #include "xauto/run_app.h"
 
@@ -39,6 +41,7 @@ struct MonitorFlags {
   std::string run, file;
   int interval_ms = 1000, wait_s = 0;
   bool diagnostics = false;
+  std::string system = launch::kSystemSocket;
 };
 
 /// Whole or not at all: who reads it never sees half of it.
@@ -121,7 +124,7 @@ class Monitor {
       seen.look = std::move(now);
     }
     said_ = all;
-    metrics_ = metrics_text(looks);
+    metrics_ = metrics_text(looks, machine_xpus(ask_machine(flags_.system), {}));
     if (topic_ && !all.empty()) topic_->publish(all);
     if (flags_.file.empty()) return !seen_.empty();
     // A disk that is full later on is no reason to end the rest; who reads the file sees its age.
@@ -224,6 +227,8 @@ void add_monitor(Commands& commands) {
   verb.flag("--diagnostics", flags->diagnostics,
             "publish diagnostic_msgs/msg/DiagnosticArray on /diagnostics, over Cyclone DDS");
   verb.option("--run", flags->run, "this run alone, to its end; default: all, also later ones");
+  verb.option("--system", flags->system, "the socket of xauto-system, which says who has joined")
+      .shown();
   verb.duration("--interval", flags->interval_ms, Unit::kMilliseconds, 50, 60'000,
                 "between two looks");
   verb.duration("--wait", flags->wait_s, Unit::kSeconds, 0, kYearS,

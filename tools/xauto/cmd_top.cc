@@ -24,6 +24,7 @@
 #include "xauto/command.h"
 #include "xauto/kernel_record.h"
 #include "xauto/live.h"
+#include "xauto/machine.h"
 #include "xauto/outputs.h"
 #include "xauto/run_app.h"
 #include "xauto/shown_run.h"
@@ -33,10 +34,10 @@ namespace xauto::cli {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-constexpr int kPollMs = 20;
+constexpr int kPollMs = 20, kRecordMs = 3;
 
 struct TopFlags {
-  std::string run, record;
+  std::string run, record, timeline;
   int interval_ms = 1000, count = -1, wait_s = 0;
   bool once = false;
   std::string system = launch::kSystemSocket;
@@ -52,11 +53,6 @@ template <class Ends>
 void wait_until(Clock::time_point until, const Ends& ends) {
   while (Clock::now() < until && !ends())
     std::this_thread::sleep_for(std::chrono::milliseconds(kPollMs));
-}
-
-/// What xauto-system says; null: nobody listens there, or not to this user.
-Json machine(const TopFlags& flags) {
-  return launch::ask_who_is_there(flags.system).value_or(Json());
 }
 
 void show(std::span<const ShownRun> runs, const std::vector<Unseen>& unseen, const Json& machine) {
@@ -197,19 +193,9 @@ struct AllRuns {
   }
 };
 
-/// "  together: drive (uid 1000) on core0, gpu0"
-std::string words_of_app(const Json& app) {
-  std::vector<std::string> xpus;
-  for (const Json& xpu : app.at("xpus").elements())
-    xpus.push_back(for_terminal(xpu.text().value_or("?"), false));
-  return fmt::format("  together: {} (uid {}) on {}\n",
-                     for_terminal(app.at("app").text().value_or("?"), false),
-                     app.at("uid").integer().value_or(-1), fmt::join(xpus, ", "));
-}
-
 void print(const std::vector<ShownRun>& runs, const std::vector<Unseen>& unseen,
-           const Json& machine) {
-  for (const Json& app : machine.at("apps").elements()) std::cout << words_of_app(app);
+           const std::string& machine) {
+  std::cout << machine;
   if (runs.empty())
     std::cout << wrapped(unseen.empty()
                              ? "no app is running under XAuto, as far as can be seen from here: in "
@@ -227,26 +213,48 @@ Result<int> show_all(const TopFlags& flags, int count, bool json) {
   const auto stopped = [&] { return stop.flag()->load(); };
   wait_until(Clock::now() + std::chrono::seconds(flags.wait_s),
              [&] { return stopped() || !running().empty(); });
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--timeline", flags.timeline));
+  std::optional<MachineRecord> record;
   AllRuns before = AllRuns::now();
+  Json there_before = ask_machine(flags.system);
+  if (!flags.timeline.empty()) {
+    record.emplace(flags.system);
+    XAUTO_TRY(record->follow(there_before));
+  }
   for (int times = 0; (count == 0 || times < count) && std::cout; ++times) {
-    wait_until(Clock::now() + std::chrono::milliseconds(flags.interval_ms), stopped);
+    const auto until = Clock::now() + std::chrono::milliseconds(flags.interval_ms);
+    while (record && Clock::now() < until && !stopped()) {
+      record->look();
+      std::this_thread::sleep_for(std::chrono::milliseconds(kRecordMs));
+    }
+    wait_until(until, stopped);
     if (stopped() && times > 0) break;
     AllRuns now = AllRuns::now();
-    const Json there = machine(flags);
+    Json there = ask_machine(flags.system);
     if (json)
-      show(now.shown(before), now.unseen(there), there);
+      show(now.shown(before), now.unseen(there), machine_json(there, there_before));
     else
-      print(now.shown(before), now.unseen(there), there);
+      print(now.shown(before), now.unseen(there), machine_text(there, there_before));
+    if (record && !there.is_null()) XAUTO_TRY(record->follow(there));
     before = std::move(now);
+    there_before = std::move(there);
   }
-  return kDone;
+  if (record) {
+    record->look();
+    outputs.write(flags.timeline, record->perfetto());
+  }
+  return outputs.status(kDone);
 }
 
 Result<int> top(const TopFlags& flags, const Options& options) {
   const bool terminal = can_draw(STDOUT_FILENO);
   // A script gets one look, and does not wait for the run's end.
   const int count = flags.once ? 1 : flags.count >= 0 ? flags.count : terminal ? 0 : 1;
-  if (flags.run.empty() && flags.record.empty() && (options.json || count == 1))
+  if (!flags.timeline.empty() && (!flags.run.empty() || !flags.record.empty()))
+    return fail(ErrorCode::kInvalid, "is of all runs: leave --run and --record out", "--timeline");
+  if (flags.run.empty() && flags.record.empty() &&
+      (options.json || count == 1 || !flags.timeline.empty()))
     return show_all(flags, count, options.json);
   OneRun run(flags, options.json);
   XAUTO_TRY(run.open());
@@ -278,6 +286,9 @@ void add_top(Commands& commands) {
       "meanwhile record what the kernel does with the run's threads, with BPF: FILE.pftrace for "
       "Perfetto's viewers, else a JSON object per line");
   verb.option("--system", flags->system, "of all runs: the socket of xauto-system").shown();
+  verb.option("--timeline", flags->timeline,
+              "meanwhile record which app had which XPU of the machine, of all that have joined "
+              "xauto-system: FILE.pftrace, for Perfetto's viewers");
   verb.duration("--wait", flags->wait_s, Unit::kSeconds, 0, kYearS,
                 "how long to wait for a run to begin");
 }

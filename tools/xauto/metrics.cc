@@ -228,6 +228,25 @@ void add_metrics_of(Page& page, const RunLook& look) {
   add_xpus(page, of_run, look);
 }
 
+void add_machine(Page& page, const MachineXpu& xpu) {
+  if (xpu.slack_pct)
+    page.gauge("xauto_machine_slack_ratio",
+               "What the demands of all apps that have joined leave of the XPU.",
+               {{"xpu", xpu.xpu}},
+               fmt::format("{:.2f}", static_cast<double>(*xpu.slack_pct) / 100));
+  for (const AppOnXpu& app : xpu.apps) {
+    const Labels labels = {{"app", app.app},
+                           {"lease", std::to_string(app.lease)},
+                           {"uid", std::to_string(app.uid)},
+                           {"xpu", xpu.xpu}};
+    page.gauge("xauto_machine_admitted_ratio", "What the app's demand asks of the XPU's time.",
+               labels, fmt::format("{:.4f}", app.admitted_pct / 100));
+    page.counter_seconds("xauto_machine_had_seconds_total",
+                         "Time for which jobs that ended had the XPU, of workers that are there.",
+                         labels, app.had_us);
+  }
+}
+
 }  // namespace
 
 std::vector<std::int64_t> latency_bounds_us() {
@@ -241,12 +260,13 @@ std::vector<std::int64_t> latency_bounds_us() {
   return bounds;
 }
 
-std::string metrics_text(const std::vector<RunLook>& runs) {
+std::string metrics_text(const std::vector<RunLook>& runs, const std::vector<MachineXpu>& machine) {
   Page page;
   page.gauge("xauto_build_info", "The version of the exporter.", {{"version", XAUTO_VERSION}}, "1");
   page.gauge("xauto_runs", "Runs that go on and are exported here.", {},
              std::to_string(runs.size()));
   for (const RunLook& look : runs) add_metrics_of(page, look);
+  for (const MachineXpu& xpu : machine) add_machine(page, xpu);
   return page.text();
 }
 

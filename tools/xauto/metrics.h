@@ -6,12 +6,15 @@
 #include <string>
 #include <vector>
 
+#include "xauto/machine.h"
 #include "xauto/run_look.h"
 
 namespace xauto::cli {
 
 /// Of all runs together: a metric's lines are one group there. Two looks of one run are not allowed.
-[[nodiscard]] std::string metrics_text(const std::vector<RunLook>& runs);
+/// `machine`: of the apps that have joined xauto-system.
+[[nodiscard]] std::string metrics_text(const std::vector<RunLook>& runs,
+                                       const std::vector<MachineXpu>& machine = {});
 
 /// Upper ends of the histograms' buckets in microseconds: where buckets of the board end, so that
 /// every count is exact.

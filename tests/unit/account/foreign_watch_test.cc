@@ -45,22 +45,23 @@ TEST(ForeignWatch, NamesWhoCanRunOnTheCore) {
   proc.add(11, 11, "elsewhere", 'R', 2, 0, 0);
   proc.add(12, 13, "a) R 3 (b", 'R', 3, 0, 0);  // a name may be anything
   proc.add(14, 14, "ours", 'R', 3, 50, 1);
-  EXPECT_EQ(runners_on(3, 14, proc.path()).names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
-  EXPECT_FALSE(runners_on(3, 14, proc.path()).realtime);
+  EXPECT_EQ(runners_on(3, {14}, proc.path()).names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
+  EXPECT_FALSE(runners_on(3, {14}, proc.path()).realtime);
   proc.add(15, 15, "hog", 'R', 3, 99, 1);
-  const Runners there = runners_on(3, 14, proc.path());
+  const Runners there = runners_on(3, {14}, proc.path());
   EXPECT_EQ(
       there.names,
       (Names{"hog (pid 15, SCHED_FIFO 99)"}));  // nobody else takes a core from real-time threads
   EXPECT_TRUE(there.realtime);
-  EXPECT_TRUE(runners_on(7, 14, proc.path()).names.empty());
-  EXPECT_TRUE(runners_on(3, 14, proc.path() + "/none").names.empty());
+  EXPECT_TRUE(runners_on(7, {14}, proc.path()).names.empty());
+  EXPECT_TRUE(runners_on(3, {14}, proc.path() + "/none").names.empty());
+  EXPECT_EQ(runners_on(3, {14, 15}, proc.path()).names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
 }
 
 TEST(ForeignWatch, NamesAreShownSafely) {
   Proc proc;
   proc.add(1, 1, "\x1b[2J", 'R', 0, 0, 0);
-  EXPECT_EQ(runners_on(0, 0, proc.path()).names, (Names{"\\x1b[2J (pid 1, SCHED_OTHER)"}));
+  EXPECT_EQ(runners_on(0, {0}, proc.path()).names, (Names{"\\x1b[2J (pid 1, SCHED_OTHER)"}));
 }
 
 TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
@@ -105,6 +106,60 @@ TEST(ForeignWatch, WhoIsAdmittedIsNoStranger) {
   watch.look(2'000'000'000);
   EXPECT_EQ(board->xpu(0).words_of_sharing(), "");
   EXPECT_NE(board->xpu(1).words_of_sharing(), "");
+}
+
+Session joined(const char* xpu, const char* type) {
+  Session session;
+  session.platform = Platform{"p", {{xpu, type}}};
+  session.policy.placements = {{0}};
+  session.own_sockets = "xauto/1-0/aa/";
+  session.coordinators = {{xpu, std::string("/run/xauto/coordinator.sock?1?2?0?2?") + xpu}};
+  return session;
+}
+
+/// What the service could not keep off a GPU since this run began breaks what is claimed there.
+TEST(ForeignWatch, WorkThatWasNotKeptOffIsTold) {
+  const Session session = joined("gpu0", "gpu");
+  const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 1});
+  ForeignWatch::Neighbours says{{getpid()}, {{"gpu0", 7}, {"gpu1", 0}}};
+  int asked = 0;
+  ForeignWatch watch(session, *board, true, [&] {
+    ++asked;
+    return says;
+  });
+  auto look = [&, at = std::int64_t{0}]() mutable { watch.look(at += 2'000'000'000); };
+  look();
+  says.not_kept_off["gpu1"] = 3;
+  look();
+  EXPECT_EQ(board->xpu(0).words_of_sharing(), "");
+  says.not_kept_off["gpu0"] = 8;
+  look();
+  EXPECT_NE(board->xpu(0).words_of_sharing().find("work of others"), std::string::npos);
+  EXPECT_FALSE(watch.is_blind());
+  // A service that suspends nothing, or does not answer, is left alone.
+  says.not_kept_off.clear();
+  look();
+  const int until_now = asked;
+  look();
+  EXPECT_EQ(asked, until_now);
+}
+
+TEST(ForeignWatch, WhoIsNotToldWhoHasJoinedIsBlind) {
+  for (const bool knows : {true, false}) {
+    const Session session = joined("cpu0", "cpu");
+    const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 1});
+    int asked = 0;
+    ForeignWatch watch(session, *board, true, [&] {
+      ++asked;
+      return ForeignWatch::Neighbours{{1, knows ? getpid() : 2}, {}};
+    });
+    watch.look(2'000'000'000);
+    EXPECT_EQ(watch.is_blind(), !knows);
+    watch.look(4'000'000'000);
+    EXPECT_EQ(asked, 1) << "nothing is suspected";
+    board->xpu(0).crowd(5, true);
+    EXPECT_EQ(board->xpu(0).words_of_crowd(), "") << "nobody was seen";
+  }
 }
 
 /// Two apps on one machine share nothing where their policies place nothing on the same core.

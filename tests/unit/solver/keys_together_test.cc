@@ -238,6 +238,69 @@ TEST(KeysTogether, AReserveIsForWhoeverAsksForNoMore) {
   EXPECT_GE(met, 1000) << kept;
 }
 
+/// The slack of an XPU, by its formula: the least t - D(t) over all t is a part of t. And what it is good for: whoever asks
+/// for no more is admitted.
+TEST(KeysTogether, TheSlackIsWhatTheDemandsLeave) {
+  struct Job {
+    std::int64_t window, period, work;
+  };
+  int some = 0, none = 0;
+  for (std::uint64_t seed = 1; seed <= 400; ++seed) {
+    Random random(seed);
+    const auto roll = [&](std::int64_t from, std::int64_t to) {
+      return from + static_cast<std::int64_t>(random.below(static_cast<std::uint64_t>(to - from)));
+    };
+    const std::int64_t cost = roll(0, 3);
+    const Xpu xpu{"gpu0", {}, true, cost};
+    std::vector<Job> jobs;
+    std::vector<Demand> demands;
+    for (std::int64_t n = roll(1, 4); n > 0; --n) {
+      const std::int64_t period = 20 * roll(2, 7), window = roll(8, period + 30);
+      jobs.push_back({window, period, roll(1, std::min<std::int64_t>(window, 30))});
+      demands.push_back(
+          {1, {{xpu, {{.period = period, .jobs = {{.key = window, .work = jobs.back().work}}}}}}});
+    }
+    // lcm(40, 60, 80, 100, 120) and the longest window.
+    constexpr std::int64_t kHorizon = 1200 + 150;
+    const auto fits = [&](std::int64_t pct) {
+      std::int64_t in_the_long_run = 0;
+      for (const Job& job : jobs)
+        in_the_long_run += 1200 / job.period * (((job.work + cost) * 100 + 99 - pct) / (100 - pct));
+      if (in_the_long_run > 1200) return false;
+      for (std::int64_t t = 1; t <= kHorizon; ++t) {
+        std::int64_t wanted = 0;
+        for (const Job& job : jobs)
+          if (t >= job.window)
+            wanted += ((t - job.window) / job.period + 1) *
+                      (((job.work + cost) * 100 + 99 - pct) / (100 - pct));
+        if (wanted > t) return false;
+      }
+      return true;
+    };
+    const Result<int> slack = slack_together(demands);
+    if (!slack) {
+      EXPECT_FALSE(check_together(demands));
+      EXPECT_FALSE(fits(0));
+      continue;
+    }
+    int expected = kMaxReservePct;
+    while (expected > 0 && !fits(expected)) --expected;
+    EXPECT_EQ(*slack, expected) << "seed " << seed;
+    ++(*slack > 0 ? some : none);
+    for (int k = 0; k < 10; ++k) {
+      const std::int64_t period = roll(20, 200), window = roll(10, period + 1);
+      const std::int64_t work = window * *slack / 100 - cost;
+      if (work < 1) continue;
+      std::vector<Demand> all = demands;
+      all.push_back({1, {{xpu, {{.period = period, .jobs = {{.key = window, .work = work}}}}}}});
+      EXPECT_TRUE(check_together(all)) << "seed " << seed << ", window " << window;
+    }
+  }
+  EXPECT_GT(some, 100);
+  EXPECT_GT(none, 20);
+  EXPECT_FALSE(slack_together({}));
+}
+
 /// The solver's own: all at once; or one with a reserve, and the other one beside it.
 TEST(KeysTogether, WhatTheSolverPlansHolds) {
   int together = 0, beside = 0, refused = 0;
