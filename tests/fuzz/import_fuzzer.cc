@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What `xauto import` reads. The first byte says what the rest is: t, p: trtexec's times, profile; a: CARET's
-// architecture; i: app.json with "seen"; m: a model of Amalthea; n: an export of Nsight Systems; r: what one holds, eight
+// architecture; i: app.json with "seen"; m: a model of Amalthea; n: an export of Nsight Systems; o: an ONNX model; r: what one holds, eight
 // bytes each; e: events of a ROS 2 trace, eight bytes each.
 #include <cstdlib>
 #include <fstream>
@@ -14,6 +14,7 @@
 #include "import/amalthea.h"
 #include "import/architecture.h"
 #include "import/nsight.h"
+#include "import/onnx_net.h"
 #include "import/ros2_app.h"
 #include "import/skeleton.h"
 #include "import/trtexec.h"
@@ -79,6 +80,20 @@ void read_export(std::string_view bytes) {
   std::ofstream(scratch(), std::ios::binary)
       .write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   if (const auto trace = import::read_nsight(scratch())) make_of_nsight(*trace);
+}
+
+void cut_net(std::string_view bytes) {
+  const auto net = import::OnnxNet::parse(bytes, kOrigin);
+  if (!net) return;
+  (void)net->external_files();
+  const auto at = import::even_cuts(*net, net->cuts(2), {}, 3);
+  std::size_t nodes = 0;
+  for (const import::OnnxPart& part : net->parts(at)) {
+    nodes += part.nodes.size();
+    if (!import::OnnxNet::parse(part.model, kOrigin)) std::abort();
+  }
+  if (nodes != net->nodes().size()) std::abort();
+  check_made(*parse_imported(to_json(import::app_of_parts("net", nodes, at, {}, 10)), kOrigin));
 }
 
 /// A range, a call or a kernel for each eight bytes.
@@ -148,6 +163,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       break;
     case 'n':
       read_export(text);
+      break;
+    case 'o':
+      cut_net(text);
       break;
     case 'r':
       read_rows(text);
