@@ -2,8 +2,8 @@
 #include "import/amalthea.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
+#include <cstdlib>
 #include <filesystem>
 #include <limits>
 #include <utility>
@@ -74,12 +74,13 @@ std::string_view type_of(const Xml& element) {
                                     : std::string_view(type).substr(colon + 1);
 }
 
-/// None: it is no number that is finite.
+/// None: it is no number that is finite. (Not by from_chars, which libstdc++ 10 has for whole numbers only.)
 std::optional<double> number_in(const std::string& text) {
-  double value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value))
+  if (text.empty() || text.find_first_not_of("0123456789+-.eE") != std::string::npos)
     return std::nullopt;
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  if (end != text.c_str() + text.size() || !std::isfinite(value)) return std::nullopt;
   return value;
 }
 
@@ -219,7 +220,7 @@ class AmaltheaReader {
     if (name == "constraintsModel") read_constraints(part);
     if (name == "mappingModel")
       for (const Xml& allocation : part.children)
-        if (allocation.name == "taskAllocation" && allocation["affinity"] != "")
+        if (allocation.name == "taskAllocation" && !allocation["affinity"].empty())
           on_[reference(allocation, "task")] = references(allocation, "affinity");
   }
 

@@ -28,6 +28,16 @@ constexpr int kExternal = 1;        ///< TensorProto.DataLocation
 // TensorProto.DataType
 constexpr int kFloat = 1, kUint8 = 2, kInt64 = 7, kBool = 9;
 
+/// Operators whose first output has the type of the first input.
+constexpr std::string_view kSameType =
+    " Abs Add AveragePool BatchNormalization Ceil Clip Concat Conv ConvTranspose DepthToSpace"
+    " Div Dropout Elu Erf Exp Expand Flatten Floor Gather GatherElements GatherND Gelu Gemm"
+    " GlobalAveragePool GlobalMaxPool HardSigmoid HardSwish Identity InstanceNormalization"
+    " LayerNormalization LeakyRelu Log LogSoftmax LRN MatMul Max MaxPool Mean Min Mish Mul Neg"
+    " PRelu Pad Pow ReduceMax ReduceMean ReduceMin ReduceSum Relu Reshape Resize Round"
+    " ScatterND Selu Sigmoid Slice Softmax Softplus SpaceToDepth Split Sqrt Squeeze Sub Sum"
+    " Tanh Tile Transpose Unsqueeze Upsample ";
+
 bool is_one_of(std::string_view op, std::initializer_list<std::string_view> ops) {
   return std::ranges::find(ops, op) != ops.end();
 }
@@ -249,76 +259,7 @@ struct OnnxNet::Data {
       return node.input_size() > 2 ? type_of_input(node, 2) : std::optional(kUint8);
     if (op == "DequantizeLinear") return type_of_input(node, 1);
     if (op == "Where") return type_of_input(node, 1);
-    if (output == 0 && is_one_of(op, {"Abs",
-                                      "Add",
-                                      "AveragePool",
-                                      "BatchNormalization",
-                                      "Ceil",
-                                      "Clip",
-                                      "Concat",
-                                      "Conv",
-                                      "ConvTranspose",
-                                      "DepthToSpace",
-                                      "Div",
-                                      "Dropout",
-                                      "Elu",
-                                      "Erf",
-                                      "Exp",
-                                      "Expand",
-                                      "Flatten",
-                                      "Floor",
-                                      "Gather",
-                                      "GatherElements",
-                                      "GatherND",
-                                      "Gelu",
-                                      "Gemm",
-                                      "GlobalAveragePool",
-                                      "GlobalMaxPool",
-                                      "HardSigmoid",
-                                      "HardSwish",
-                                      "Identity",
-                                      "InstanceNormalization",
-                                      "LayerNormalization",
-                                      "LeakyRelu",
-                                      "Log",
-                                      "LogSoftmax",
-                                      "LRN",
-                                      "MatMul",
-                                      "Max",
-                                      "MaxPool",
-                                      "Mean",
-                                      "Min",
-                                      "Mish",
-                                      "Mul",
-                                      "Neg",
-                                      "PRelu",
-                                      "Pad",
-                                      "Pow",
-                                      "ReduceMax",
-                                      "ReduceMean",
-                                      "ReduceMin",
-                                      "ReduceSum",
-                                      "Relu",
-                                      "Reshape",
-                                      "Resize",
-                                      "Round",
-                                      "ScatterND",
-                                      "Selu",
-                                      "Sigmoid",
-                                      "Slice",
-                                      "Softmax",
-                                      "Softplus",
-                                      "SpaceToDepth",
-                                      "Split",
-                                      "Sqrt",
-                                      "Squeeze",
-                                      "Sub",
-                                      "Sum",
-                                      "Tanh",
-                                      "Tile",
-                                      "Transpose",
-                                      "Unsqueeze",
-                                      "Upsample"}))
+    if (output == 0 && kSameType.find(" " + op + " ") != std::string_view::npos)
       return type_of_input(node, 0);
     return op == "Split" ? type_of_input(node, 0) : std::nullopt;
   }

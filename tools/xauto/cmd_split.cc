@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto split: an ONNX model in parts that are models, each an XNode, so that a net may run on several XPUs.
+#include <algorithm>
 #include <charconv>
 #include <filesystem>
 #include <iostream>

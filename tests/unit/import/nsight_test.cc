@@ -324,7 +324,7 @@ std::vector<std::int64_t> by_hand(const NsightTrace& trace, const std::string& n
 
 TEST(Nsight, TimesAreAsCountedMicrosecondByMicrosecond) {
   std::mt19937 random(5);
-  const auto upto = [&](int n) {
+  const auto below = [&](int n) {
     return static_cast<std::int64_t>(random() % static_cast<unsigned>(n));
   };
   std::size_t waited = 0;
@@ -333,20 +333,20 @@ TEST(Nsight, TimesAreAsCountedMicrosecondByMicrosecond) {
     std::int64_t correlation = 0;
     const std::array<std::int64_t, 2> threads = {kThread, kOther};
     for (std::size_t thread = 0; thread < 2; ++thread) {
-      std::int64_t now = upto(20);
+      std::int64_t now = below(20);
       for (int k = 0; k < 4; ++k) {
-        const std::int64_t begin = now + upto(10), end = begin + 2 + upto(30);
+        const std::int64_t begin = now + below(10), end = begin + 2 + below(30);
         trace.ranges.push_back({thread == 0 ? "a" : "b", begin * kUs, end * kUs, threads[thread]});
-        for (std::int64_t n = upto(3); n > 0; --n) {
-          const std::int64_t at = begin + upto(static_cast<int>(end - begin));
+        for (std::int64_t n = below(3); n > 0; --n) {
+          const std::int64_t at = begin + below(static_cast<int>(end - begin));
           trace.calls.push_back({at * kUs, (at + 1) * kUs, threads[thread], ++correlation, false});
-          const std::int64_t start = at + upto(20);
-          trace.work.push_back({false, 0, start * kUs, (start + 1 + upto(12)) * kUs,
+          const std::int64_t start = at + below(20);
+          trace.work.push_back({false, 0, start * kUs, (start + 1 + below(12)) * kUs,
                                 process_of(kThread), correlation, 0});
         }
-        const std::int64_t wait = begin + upto(static_cast<int>(end - begin));
+        const std::int64_t wait = begin + below(static_cast<int>(end - begin));
         trace.calls.push_back(
-            {wait * kUs, (wait + upto(20)) * kUs, threads[thread], ++correlation, true});
+            {wait * kUs, (wait + below(20)) * kUs, threads[thread], ++correlation, true});
         now = end + 1;
       }
     }
