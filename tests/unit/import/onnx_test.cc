@@ -52,9 +52,11 @@ Result<OnnxNet> parsed(const pb::Model& model) {
   return OnnxNet::parse(model.SerializeAsString(), "net");
 }
 
-/// Each tuple of a graph of up to `most` nodes, and one of its topological orders.
-void each_net(int most, const std::function<void(int, const std::vector<std::pair<int, int>>&,
-                                                 const std::vector<int>&)>& take) {
+/// Each graph of up to `most` nodes in its topological orders; of the largest only each `every`-th of these, the first among
+/// them.
+void each_net(int most, int every,
+              const std::function<void(int, const std::vector<std::pair<int, int>>&,
+                                       const std::vector<int>&)>& take) {
   for (int n = 1; n <= most; ++n) {
     std::vector<std::pair<int, int>> all;
     for (int u = 0; u < n; ++u)
@@ -65,15 +67,16 @@ void each_net(int most, const std::function<void(int, const std::vector<std::pai
         if (chosen >> e & 1u) edges.push_back(all[e]);
       std::vector<int> order(static_cast<std::size_t>(n));
       std::iota(order.begin(), order.end(), 0);
+      int orders = 0;
       do {
         std::vector<int> place(order.size());
         for (std::size_t i = 0; i < order.size(); ++i)
           place[static_cast<std::size_t>(order[i])] = static_cast<int>(i);
-        if (std::ranges::all_of(edges, [&](const auto& e) {
-              return place[static_cast<std::size_t>(e.first)] <
-                     place[static_cast<std::size_t>(e.second)];
-            }))
-          take(n, edges, order);
+        const bool topological = std::ranges::all_of(edges, [&](const auto& e) {
+          return place[static_cast<std::size_t>(e.first)] <
+                 place[static_cast<std::size_t>(e.second)];
+        });
+        if (topological && (n < most || orders++ % every == 0)) take(n, edges, order);
       } while (std::ranges::next_permutation(order).found);
     }
   }
@@ -99,7 +102,7 @@ bool all_ways_through(int n, const std::vector<std::pair<int, int>>& edges, int 
 
 TEST(OnnxNet, CutsOfAllGraphsOfFiveNodesAreThoseOfBruteForce) {
   std::size_t nets = 0, single = 0;
-  each_net(5, [&](int n, const auto& edges, const auto& order) {
+  each_net(5, 5, [&](int n, const auto& edges, const auto& order) {
     const auto net = parsed(net_of(n, edges, order));
     ASSERT_TRUE(net) << net.error().to_string();
     ++nets;
@@ -128,12 +131,12 @@ TEST(OnnxNet, CutsOfAllGraphsOfFiveNodesAreThoseOfBruteForce) {
       ++single;
     }
   });
-  EXPECT_GT(nets, 5000u);
-  EXPECT_GT(single, 1000u);
+  EXPECT_GT(nets, 2000u);
+  EXPECT_GT(single, 400u);
 }
 
 TEST(OnnxNet, PartsOfAllGraphsOfFourNodesAreNetsThatMakeTheWhole) {
-  each_net(4, [&](int n, const auto& edges, const auto& order) {
+  each_net(4, 4, [&](int n, const auto& edges, const auto& order) {
     const auto net = parsed(net_of(n, edges, order));
     ASSERT_TRUE(net);
     const std::vector<OnnxCut> all = net->cuts(64);
