@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 command -v clang-tidy >/dev/null || { echo "check-tidy: clang-tidy is missing; run scripts/setup.sh check" >&2; exit 1; }
 most=6
 # These include headers that a build generates; `--all` has them.
-generated='^(lib/kernel/libbpf/|lib/story/|lib/transport/cyclonedds/|tools/xauto/diagnostics_topic|tests/unit/messages/cyclone/|tests/unit/story/perfetto_test|tests/integration/apps/(dds|diagnostics)_peer)'
+generated='^(lib/kernel/libbpf/|lib/story/|lib/import/onnx_net|tests/unit/import/onnx_test|lib/transport/cyclonedds/|tools/xauto/diagnostics_topic|tests/unit/messages/cyclone/|tests/unit/story/perfetto_test|tests/integration/apps/(dds|diagnostics)_peer)'
 if [ "${1:-}" = --all ]; then
   mapfile -t files < <(scripts/sources.sh | grep '\.cc$')
 elif [ $# -gt 0 ]; then

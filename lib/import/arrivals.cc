@@ -4,7 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <string>
+
+#include "model/components.h"
 
 namespace xauto::import {
 namespace {
@@ -117,6 +120,21 @@ std::optional<Grid> seen_grid(const std::vector<std::int64_t>& instants_ns) {
         static_cast<std::int64_t>(fit.begin + static_cast<double>(k) * fit.period));
   grid.release = std::move(fit.release);
   return grid;
+}
+
+void settle_periods(AppSpec& app) {
+  const auto common = [&app] {
+    std::int64_t ticks = 1;
+    for (const SourceSpec& source : app.sources)
+      if (ticks <= kMaxTicksPerUs) ticks = std::lcm(ticks, source.period.den);
+    return ticks;
+  };
+  while (common() > kMaxTicksPerUs) {
+    Period& finest = std::ranges::max_element(app.sources, {}, [](const SourceSpec& s) {
+                       return s.period.den;
+                     })->period;
+    finest = {std::max<std::int64_t>(1, (finest.num + finest.den / 2) / finest.den), 1};
+  }
 }
 
 }  // namespace xauto::import

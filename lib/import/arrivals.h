@@ -6,7 +6,7 @@
 #include <optional>
 #include <vector>
 
-#include "model/period.h"
+#include "model/app.h"
 
 namespace xauto::import {
 
@@ -30,5 +30,9 @@ inline constexpr std::size_t kMaxReleases = 4'000'000;
 
 /// Of messages whose rate nobody states: at least three. None: fewer, or no rate in them.
 [[nodiscard]] std::optional<Grid> seen_grid(const std::vector<std::int64_t>& instants_ns);
+
+/// Where no tick divides all periods (Components::ticks_per_us), those whose fractions are the finest become whole
+/// microseconds.
+void settle_periods(AppSpec& app);
 
 }  // namespace xauto::import

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <map>
-#include <numeric>
 #include <optional>
 #include <set>
 #include <utility>
@@ -15,14 +14,13 @@
 #include "model/reaction.h"
 
 #include "import/arrivals.h"
+#include "import/questions.h"
 
 namespace xauto::import {
 namespace {
 
 using CallbackKind = RosCallback::Kind;
 
-constexpr std::size_t kMostAsked = 8, kMostXpusAsked = 3;  ///< questions of one kind
-constexpr std::size_t kMostNameBytes = 120;
 constexpr std::size_t kMostPaths = 1000;       ///< of an architecture
 constexpr std::size_t kMostAskedPairs = 2000;  ///< XNodes whose pairs are looked at for questions
 constexpr double kOnePerCall = 0.1;  ///< so many messages more or less are no other number
@@ -30,23 +28,9 @@ constexpr std::int64_t kLeastEvidence = 3;
 /// What rclcpp itself subscribes to, and logging.
 const std::set<std::string> kOfTheSystem = {"/parameter_events", "/rosout"};
 
-std::string bare(const std::string& name) {
-  const std::string plain =
-      name.substr(std::min(name.find_first_not_of('/'), name.size())).substr(0, kMostNameBytes);
-  return plain.empty() || !fault_of_name(plain).empty() ? "unnamed" : plain;
-}
-
-std::int64_t up_to_us(std::int64_t ns) {
-  return (ns + 999) / 1000;
-}
-
 std::int64_t median_of(std::vector<std::int64_t> values) {
   std::ranges::sort(values);
   return quantile_of_sorted(values, 0.5);
-}
-
-std::string counted(std::size_t count, const char* what) {
-  return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
 }
 
 class Importer {
@@ -64,6 +48,7 @@ class Importer {
                   "record while the program does its work");
     find_triggers();
     drop_without_trigger();
+    settle_periods(app());
     find_samples();
     complete_modules(app());
     find_executors();
@@ -88,9 +73,7 @@ class Importer {
   [[nodiscard]] const RosCallback& callback(int xnode) const {
     return trace_.callbacks[at(callback_of_[at(xnode)])];
   }
-  void todo(std::string at, const std::string& what) {
-    if (out_.todo.size() < kMaxTodo) out_.todo.push_back({std::move(at), todo_text(what)});
-  }
+  void todo(std::string at, const std::string& what) { import::todo(out_, std::move(at), what); }
 
   // ---- XNodes -------------------------------------------------------------------------------------
 
@@ -497,7 +480,7 @@ class Importer {
           std::max<std::int64_t>(1, up_to_us(trace_.calls[c].end_ns - trace_.calls[c].start_ns)));
     XNodeSpec& xnode = app().xnodes[at(x)];
     const std::int64_t longest = *std::ranges::max_element(times);
-    xnode.wcet_us["cpu"] = std::min(kMaxTimeUs, longest + longest * options_.margin_pct / 100);
+    xnode.wcet_us["cpu"] = with_margin(longest, options_.margin_pct);
     xnode.typical_us["cpu"] = median_of(times);
     SeenXNode& seen = out_.seen.xnodes[at(x)];
     seen.times_us.assign(times.begin(), times.begin() + static_cast<std::ptrdiff_t>(
@@ -602,30 +585,14 @@ class Importer {
                  (options_.margin_pct > 0 ? ", and " + std::to_string(options_.margin_pct) + " %"
                                           : "") +
                  ": longer ones may come (--margin-pct)");
-    if (app().chains.size() > kMostAsked)
-      todo("/deadline_us", "what is the deadline of the chains, in us?");
-    else
-      for (std::size_t k = 0; k < app().chains.size(); ++k)
-        todo("/chains/" + std::to_string(k) + "/deadline_us",
-             "what is the deadline of chain '" + app().chains[k].name + "', in us?");
-    for (std::size_t s = 0; s < app().sources.size(); ++s)
-      if (app().sources[s].clock != 0)
-        todo("/sources/" + std::to_string(s) + "/jitter_us",
-             "what jitter does the driver of '" + app().sources[s].name +
-                 "' state, in us? its rate and jitter are as seen");
+    ask_deadlines(out_);
+    ask_jitters(out_);
     ask_for_samples();
-    std::vector<int> by_time(app().xnodes.size());
-    std::iota(by_time.begin(), by_time.end(), 0);
-    std::ranges::stable_sort(by_time, std::greater(), [&](int x) {
-      return app().xnodes[at(x)].typical_us.at("cpu") *
-             static_cast<std::int64_t>(calls_[at(x)].size());
-    });
-    for (std::size_t n = 0; n < std::min(by_time.size(), kMostXpusAsked); ++n) {
-      const XNodeSpec& xnode = app().xnodes[at(by_time[n])];
-      todo("/xnodes/" + std::to_string(by_time[n]) + "/wcet_us",
-           "on which other XPU could '" + xnode.name +
-               R"(' run, and how long at most? {"gpu": MICROSECONDS})");
-    }
+    std::vector<double> load;
+    for (std::size_t x = 0; x < app().xnodes.size(); ++x)
+      load.push_back(static_cast<double>(app().xnodes[x].typical_us.at("cpu")) *
+                     static_cast<double>(calls_[x].size()));
+    ask_other_xpus(out_, load);
   }
 
   /// Of a node in which one callback publishes, and another one does not: whether the first uses what the second left.

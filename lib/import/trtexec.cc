@@ -14,6 +14,8 @@
 #include "model/json_value.h"
 #include "model/periodic.h"
 
+#include "import/questions.h"
+
 namespace xauto::import {
 namespace {
 
@@ -159,10 +161,7 @@ Status add_engines(const std::vector<EngineTimes>& engines, std::int64_t margin_
     std::ranges::sort(sorted);
     const std::int64_t median = quantile_of_sorted(sorted, 0.5);
     XNodeSpec& xnode = into.app.xnodes[at(x)];
-    const double wcet =
-        static_cast<double>(sorted.back()) * (1 + static_cast<double>(margin_pct) / 100);
-    xnode.wcet_us[engine.type] =
-        static_cast<std::int64_t>(std::min(wcet, static_cast<double>(kMaxTimeUs)));
+    xnode.wcet_us[engine.type] = with_margin(sorted.back(), margin_pct);
     xnode.typical_us[engine.type] = median;
     const std::string at_place = "/xnodes/" + std::to_string(x) + "/wcet_us";
     std::erase_if(into.todo, [&](const Todo& todo) { return todo.at == at_place; });

@@ -1,47 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// rosbag2's sqlite3 storage (schema versions 1 to 4), read. A file is an attack until it is proven to
-// be tables with rows: it must not run code, write, or keep us for ever.
+// rosbag2's sqlite3 storage (schema versions 1 to 4), read.
 #include <algorithm>
-#include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <set>
 
-#include <fmt/format.h>
-#include <sqlite3.h>
-
 #include "record/salvage.h"
+#include "record/sqlite_file.h"
 #include "record/storage.h"
 
 namespace xauto::record {
 namespace {
 
 constexpr int kMaxSchemaVersion = 4;
-// Of SQLite's machine, per call of the progress handler; per byte of the file; and to start with.
-// Reading a recording once takes some 30 steps per message, and a message is at least 10 bytes
-// long.
-constexpr int kStepsPerCall = 1000;
-constexpr std::int64_t kStepsPerByte = 20, kStepsToStart = 2'000'000;
-
-int spend(void* budget) {
-  auto& left = *static_cast<std::int64_t*>(budget);
-  left -= kStepsPerCall;
-  return left < 0 ? 1 : 0;
-}
-
-std::string text_of(sqlite3_stmt* row, int column) {
-  const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(row, column));
-  return text == nullptr
-             ? ""
-             : std::string(text, static_cast<std::size_t>(sqlite3_column_bytes(row, column)));
-}
-
-struct SqliteCloser {
-  void operator()(sqlite3* database) const { sqlite3_close_v2(database); }
-  void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
-};
-using Database = std::unique_ptr<sqlite3, SqliteCloser>;
-using Statement = std::unique_ptr<sqlite3_stmt, SqliteCloser>;
+using Statement = SqliteStatement;
 
 class SqliteReader final : public Reader {
  public:
@@ -55,9 +26,11 @@ class SqliteReader final : public Reader {
 
  private:
   [[nodiscard]] Status open_database();
-  [[nodiscard]] Result<Statement> prepare(const char* sql) const;
-  [[nodiscard]] tl::unexpected<Error> broken(const std::string& what) const;
-  [[nodiscard]] tl::unexpected<Error> damaged() const;  ///< with SQLite's last error
+  [[nodiscard]] Result<Statement> prepare(const char* sql) const { return file_->prepare(sql); }
+  [[nodiscard]] tl::unexpected<Error> broken(const std::string& what) const {
+    return file_->broken(what);
+  }
+  [[nodiscard]] tl::unexpected<Error> damaged() const { return file_->damaged(); }
   [[nodiscard]] Result<Message> head_of(sqlite3_stmt* row) const;
   [[nodiscard]] Result<std::vector<std::byte>> data_of(sqlite3_stmt* row, int column,
                                                        std::int64_t id) const;
@@ -67,9 +40,7 @@ class SqliteReader final : public Reader {
 
   OneThread thread_;
   std::string path_;
-  /// Steps of SQLite's machine left: pages that refer to each other in circles must not hang us.
-  std::int64_t budget_ = 0;
-  Database database_;
+  std::unique_ptr<SqliteFile> file_;
   Statement order_;  ///< rows by time
   Statement data_;   ///< the blob of one row, so that sorting never moves blobs
   std::vector<Topic> topics_;
@@ -79,87 +50,8 @@ class SqliteReader final : public Reader {
   bool finished_ = false;
 };
 
-tl::unexpected<Error> SqliteReader::broken(const std::string& what) const {
-  return fail(ErrorCode::kInvalid, what, path_);
-}
-
-tl::unexpected<Error> SqliteReader::damaged() const {
-  switch (sqlite3_errcode(database_.get())) {
-    case SQLITE_INTERRUPT:
-      return broken("is damaged: its pages lead in circles");
-    case SQLITE_TOOBIG:
-      return broken("holds a value of more than " + std::to_string(kMaxMessageBytes) + " bytes");
-    case SQLITE_READONLY:
-    case SQLITE_CANTOPEN:
-      return fail(
-          ErrorCode::kInvalid,
-          "was not closed by its recorder: a journal beside it (-wal, -journal) is part of it, "
-          "and its folder cannot be written",
-          path_, "copy both to where you may write, and read the copy");
-    default:
-      return broken(std::string("is damaged: ") + sqlite3_errmsg(database_.get()));
-  }
-}
-
-Result<Statement> SqliteReader::prepare(const char* sql) const {
-  sqlite3_stmt* statement = nullptr;
-  if (sqlite3_prepare_v2(database_.get(), sql, -1, &statement, nullptr) != SQLITE_OK)
-    return damaged();
-  return Statement(statement);
-}
-
-/// In WAL mode, and its log has been merged: the file is all there is. SQLite would make a -shm beside
-/// it, which a medium that cannot be written refuses.
-bool is_merged_wal(const std::string& path) {
-  constexpr std::streamoff kReadVersion = 19;  // of the header: 2 is WAL
-  std::ifstream in(path, std::ios::binary);
-  std::error_code error;
-  const auto log = std::filesystem::file_size(path + "-wal", error);
-  return in.seekg(kReadVersion) && in.get() == 2 && (error || log == 0);
-}
-
-/// As SQLite's URIs have it.
-std::string immutable_uri(const std::string& path) {
-  std::string uri = "file:";
-  for (const char c : std::filesystem::absolute(path).string())
-    uri += c == '%' || c == '?' || c == '#' ? fmt::format("%{:02x}", static_cast<unsigned char>(c))
-                                            : std::string(1, c);
-  return uri + "?immutable=1";
-}
-
 Status SqliteReader::open_database() {
-  std::error_code error;
-  const std::uint64_t bytes = std::filesystem::file_size(path_, error);
-  char magic[16] = {};
-  if (std::ifstream in(path_, std::ios::binary); !in) {
-    return broken("cannot be opened");
-  } else if (!in.read(magic, sizeof magic) ||
-             std::memcmp(magic, "SQLite format 3", sizeof magic) != 0) {
-    return broken(bytes == 0 ? "is empty" : "is not an SQLite file");
-  }
-  budget_ = kStepsToStart + static_cast<std::int64_t>(bytes) * kStepsPerByte;
-  const auto open = [this](const std::string& name, int flags) {
-    sqlite3* database = nullptr;
-    const int opened =
-        sqlite3_open_v2(name.c_str(), &database, SQLITE_OPEN_READONLY | flags, nullptr);
-    database_.reset(database);
-    if (opened != SQLITE_OK) return false;
-    sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-    sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
-    sqlite3_db_config(database, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
-    sqlite3_limit(database, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxMessageBytes));
-    sqlite3_progress_handler(database, kStepsPerCall, spend, &budget_);
-    // The first that reads: only now is known whether it can be.
-    return sqlite3_exec(database,
-                        "PRAGMA cell_size_check=ON; PRAGMA mmap_size=0; PRAGMA schema_version",
-                        nullptr, nullptr, nullptr) == SQLITE_OK;
-  };
-  if (!open(path_, 0)) {
-    const int why = sqlite3_errcode(database_.get());
-    const bool unwritable = why == SQLITE_CANTOPEN || why == SQLITE_READONLY;
-    if (!unwritable || !is_merged_wal(path_) || !open(immutable_uri(path_), SQLITE_OPEN_URI))
-      return damaged();
-  }
+  XAUTO_ASSIGN(file_, SqliteFile::open(path_, kMaxMessageBytes));
   XAUTO_TRY(check_layout());
   return read_topics();
 }
@@ -177,38 +69,24 @@ Result<std::unique_ptr<Reader>> SqliteReader::open(const std::string& path) {
   return r;
 }
 
-/// Real tables with real columns: views and generated columns would compute what the file's author
-/// wants.
 Status SqliteReader::check_layout() const {
   struct Table {
-    const char *name, *info;
+    const char* name;
     std::vector<const char*> columns;
   };
-  const Table tables[] = {
-      {"topics", "PRAGMA table_info(topics)", {"id", "name", "type", "serialization_format"}},
-      {"messages", "PRAGMA table_info(messages)", {"id", "topic_id", "timestamp", "data"}}};
+  const Table tables[] = {{"topics", {"id", "name", "type", "serialization_format"}},
+                          {"messages", {"id", "topic_id", "timestamp", "data"}}};
   for (const Table& table : tables) {
-    XAUTO_ASSIGN(const Statement find,
-                 prepare("SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = ?"));
-    sqlite3_bind_text(find.get(), 1, table.name, -1, SQLITE_STATIC);
-    const int step = sqlite3_step(find.get());
-    if (step != SQLITE_ROW && step != SQLITE_DONE) return damaged();
-    if (step == SQLITE_DONE || sqlite3_column_int64(find.get(), 0) <= 0)
+    XAUTO_ASSIGN(const std::set<std::string> there, file_->columns_of(table.name));
+    if (there.empty())
       return broken(std::string("is no rosbag2 recording: table '") + table.name + "' is missing");
-    XAUTO_ASSIGN(const Statement info, prepare(table.info));
-    std::set<std::string> there;
-    while (sqlite3_step(info.get()) == SQLITE_ROW) there.insert(text_of(info.get(), 1));
     for (const char* column : table.columns)
       if (!there.contains(column))
         return broken(std::string("is no rosbag2 recording: table '") + table.name +
                       "' has no column '" + column + "'");
   }
-  XAUTO_ASSIGN(const Statement find,
-               prepare("SELECT rootpage FROM sqlite_master WHERE type = 'table'"
-                       " AND name = 'schema'"));
-  const int step = sqlite3_step(find.get());
-  if (step == SQLITE_DONE) return {};  // versions 1 and 2 had no such table
-  if (step != SQLITE_ROW || sqlite3_column_int64(find.get(), 0) <= 0) return damaged();
+  XAUTO_ASSIGN(const std::set<std::string> schema, file_->columns_of("schema"));
+  if (schema.empty()) return {};  // versions 1 and 2 had no such table
   XAUTO_ASSIGN(const Statement version, prepare("SELECT schema_version FROM schema NOT INDEXED"));
   if (sqlite3_step(version.get()) != SQLITE_ROW ||
       sqlite3_column_type(version.get(), 0) != SQLITE_INTEGER)
@@ -317,7 +195,7 @@ Status SqliteReader::salvage(const std::string& path, const Take& take, Salvaged
     out.leave_out(path, opened.error().what);
     return {};
   }
-  reader.budget_ *= 2;  // for two ways through
+  reader.file_->again(1);  // there are two ways through
   bool any = false;
   std::int64_t last = 0;
   for (const bool backwards : {false, true}) {

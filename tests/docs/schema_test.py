@@ -11,6 +11,7 @@ import tempfile
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "integration"))
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "golden/errors"))
 from cases import cases  # noqa: E402
+import onnx_file
 from common import APP, DRIVING, SOURCE, xauto  # noqa: E402
 
 TYPES = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None), "number": (int, float),
@@ -242,6 +243,8 @@ def test_what_the_tools_write_is_valid():
             check("app", json.loads((folder / "i.json").read_text()), "i.json")
             printed = xauto("whatif", "i.json", "--time-limit", "1s", "--json", cwd=folder).stdout
             check("whatif", json.loads(printed), "whatif")
+        (folder / "net.onnx").write_bytes(onnx_file.residual(2))
+        check("split", json.loads(xauto("split", "net.onnx", "--at", "1", "--out", "parts", "--json", cwd=folder).stdout), "split")
         written("report", "run", "--app", APP, "--platform", "small", "--policy", "p.json", "--emulate",
                 "--lockstep", "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
         written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2, "--out",

@@ -295,7 +295,7 @@ class Flow(unittest.TestCase):
         self.assertLess(worst[0], 35670, "what a greedy schedule of it takes; none is shorter than 34675")
 
     def test_help_of_every_verb_shows_an_example(self):
-        verbs = ["doctor", "generate", "import", "whatif", "profile", "solve", "simulate", "check", "run", "compare", "top",
+        verbs = ["doctor", "generate", "import", "whatif", "split", "profile", "solve", "simulate", "check", "run", "compare", "top",
                  "recording", "explain", "graph"]
         for verb in verbs:
             self.assertIn("Example:\n  ", self.good(verb, "--help"), verb)

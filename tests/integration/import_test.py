@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """xauto import and xauto whatif as a user runs them: on the trace that LTTng made (tests/golden/ros2-trace), on CARET's
-demo and trtexec's files (../shared/data, where they are); and the program to fill in, compiled and run."""
+demo and trtexec's files (../shared/data, where they are), on an export of Nsight Systems as NVIDIA documents it, and on a
+model of Amalthea (tests/golden/amalthea); and the program to fill in, compiled and run."""
 import json
 import pathlib
+import sqlite3
 import subprocess
 import tempfile
 import unittest
@@ -10,6 +12,7 @@ import unittest
 from common import BIN, SOURCE, XAUTO, xauto
 
 MADE = SOURCE / "tests/golden/ros2-trace/made"
+MODEL = SOURCE / "tests/golden/amalthea/fusion.amxmi"
 DATA = SOURCE.parent / "shared/data"
 CARET = DATA / "ros2-trace/caret-demo"
 SANITIZED = any(word in pathlib.Path(XAUTO).read_bytes() for word in (b"__asan_init", b"__tsan_init"))
@@ -20,8 +23,7 @@ def without(library):
     return xauto("import", MADE, "--out", "/dev/null").stderr.count(f"without {library}") > 0
 
 
-@unittest.skipIf(without("libbabeltrace2"), "built without libbabeltrace2")
-class Import(unittest.TestCase):
+class InAFolder(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
@@ -32,6 +34,66 @@ class Import(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         return done.stdout
 
+
+class Others(InAFolder):
+    def export(self, name):
+        process = 4711 << 24
+        with sqlite3.connect(self.at / name) as database:
+            database.executescript("""
+                CREATE TABLE StringIds (id INTEGER PRIMARY KEY, value TEXT NOT NULL);
+                CREATE TABLE NVTX_EVENTS (start INT NOT NULL, end INT, eventType INT NOT NULL, text TEXT, globalTid INT, textId INT);
+                CREATE TABLE CUPTI_ACTIVITY_KIND_RUNTIME (start INT NOT NULL, end INT NOT NULL, eventClass INT NOT NULL,
+                    globalTid INT, correlationId INT, nameId INT NOT NULL, returnValue INT NOT NULL);
+                CREATE TABLE CUPTI_ACTIVITY_KIND_KERNEL (start INT NOT NULL, end INT NOT NULL, deviceId INT NOT NULL,
+                    correlationId INT, globalPid INT);""")
+            for k in range(30):
+                at = k * 33_333_333
+                database.execute("INSERT INTO NVTX_EVENTS VALUES (?, ?, 59, 'detect', ?, NULL)", (at, at + 1_000_000, process + 1))
+                database.execute("INSERT INTO CUPTI_ACTIVITY_KIND_RUNTIME VALUES (?, ?, 0, ?, ?, 1, 0)",
+                                 (at + 1000, at + 9000, process + 1, k + 1))
+                database.execute("INSERT INTO CUPTI_ACTIVITY_KIND_KERNEL VALUES (?, ?, 0, ?, ?)",
+                                 (at + 500_000, at + 6_000_000 + 1000 * k, k + 1, process))
+
+    def test_an_export_of_nsight_systems_becomes_an_app_that_is_solved(self):
+        self.export("report.sqlite")
+        said = self.good("import", "report.sqlite", "--out", "app.json")
+        for line in ("1 XNode of 30 ranges", "detect on gpu", "TODO"):
+            self.assertIn(line, said)
+        app = json.loads((self.at / "app.json").read_text())
+        self.assertEqual((app["name"], app["sources"][0]["rate_hz"], app["xnodes"][0]["wcet_us"]), ("report", 30, {"gpu": 6029}))
+        self.good("import", "--app", "app.json", "--ask", "--out", "b.json", stdin="20000\n\n" + '{"dla": 9000}\n')
+        asked = json.loads((self.at / "b.json").read_text())
+        self.assertEqual((asked["chains"][0]["deadline_us"], asked["xnodes"][0]["wcet_us"]["dla"]), (20000, 9000))
+        self.good("solve", "--app", "b.json", "--platform", "small", "--time-limit", "1s", "--out", "policy.json")
+        self.good("whatif", "b.json", "--time-limit", "1s", "--out", "page.html")
+        (self.at / "cut.sqlite").write_bytes((self.at / "report.sqlite").read_bytes()[:-4096])
+        cut = xauto("import", "cut.sqlite", "--out", "cut.json", cwd=self.at)
+        self.assertIn("damaged", cut.stdout + cut.stderr)
+
+    @unittest.skipIf("without Expat" in xauto("import", MODEL, "--out", "/dev/null").stderr, "built without Expat")
+    def test_a_model_of_amalthea_becomes_app_and_platform(self):
+        said = self.good("import", MODEL, "--out", "app.json", "--platform-out", "platform.json")
+        self.assertIn("5 XNodes of 4 tasks and 6 runnables", said)
+        platform = json.loads((self.at / "platform.json").read_text())
+        self.assertEqual([x["id"] for x in platform["xpus"]], ["cpu0", "cpu1", "gpu0"])
+        self.good("solve", "--app", "app.json", "--platform", "platform.json", "--time-limit", "1s", "--out", "policy.json")
+        self.good("check", "--app", "app.json", "--platform", "platform.json", "--policy", "policy.json")
+
+    def test_what_is_neither_is_refused_in_a_line(self):
+        (self.at / "text").write_text("hello")
+        (self.at / "a.amxmi").write_text('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>')
+        self.export("report.sqlite")
+        for words, says in ((("import", "text", "--out", "b.json"), "nothing that is known"),
+                            (("import", "a.amxmi", "--out", "b.json"), "DOCTYPE|Expat"),
+                            (("import", "report.sqlite", "--architecture", "x", "--out", "b.json"), "ROS 2"),
+                            (("import", "report.sqlite", "--out", "b.json", "--platform-out", "p.json"), "only a model")):
+            done = xauto(*words, cwd=self.at)
+            self.assertEqual(done.returncode, 2, words)
+            self.assertRegex(done.stderr, says, words)
+
+
+@unittest.skipIf(without("libbabeltrace2"), "built without libbabeltrace2")
+class Import(InAFolder):
     def test_a_trace_of_lttng_becomes_an_app_that_is_solved(self):
         said = self.good("import", MADE, "--out", "app.json")
         for line in ("3 XNodes of 96 callbacks", "events were lost while", "ros2:of_tomorrow", "TODO"):

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto import: app.json out of what a program that knows nothing of XAuto has left: traces, timings; and a program to
 // fill in.
+#include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <iostream>
 #include <memory>
 
@@ -12,7 +14,9 @@
 #include "model/json.h"
 #include "model/json_value.h"
 
+#include "import/amalthea.h"
 #include "import/answers.h"
+#include "import/nsight.h"
 #include "import/ros2_app.h"
 #include "import/skeleton.h"
 #include "import/trtexec.h"
@@ -26,11 +30,23 @@ namespace {
 namespace fs = std::filesystem;
 
 struct ImportFlags {
-  std::string trace, architecture, app, name, out, cpp;
+  std::string input, architecture, app, name, out, cpp, platform_out;
   std::vector<std::string> trtexec, layers;
   std::int64_t margin_pct = 0, stages = 2;
   bool ask = false;
 };
+
+/// Of the app, where nobody says one.
+std::string name_of(const ImportFlags& flags) {
+  if (!flags.name.empty()) return flags.name;
+  const fs::path file = fs::path(flags.input).lexically_normal();
+  const std::string name = (fs::is_directory(file) ? file.filename() : file.stem()).string();
+  return name.empty() ? "imported" : name;
+}
+
+std::string file_name_of(const ImportFlags& flags) {
+  return fs::path(flags.input).lexically_normal().filename().string();
+}
 
 Result<ImportedApp> import_trace(const ImportFlags& flags, std::vector<std::string>& lines) {
   import::Architecture architecture;
@@ -38,11 +54,36 @@ Result<ImportedApp> import_trace(const ImportFlags& flags, std::vector<std::stri
     XAUTO_ASSIGN(const std::string text, read_file(flags.architecture));
     XAUTO_ASSIGN(architecture, import::parse_architecture(text, flags.architecture));
   }
-  XAUTO_ASSIGN(const import::RosTrace trace, import::read_ros2_trace(flags.trace));
-  const std::string name = fs::path(flags.trace).lexically_normal().filename().string();
-  import::Ros2Options options{flags.name, "trace " + name, flags.margin_pct};
-  if (options.name.empty()) options.name = name.empty() ? "imported" : name;
-  return import::ros2_app(trace, architecture, options, lines);
+  XAUTO_ASSIGN(const import::RosTrace trace, import::read_ros2_trace(flags.input));
+  return import::ros2_app(trace, architecture,
+                          {name_of(flags), "trace " + file_name_of(flags), flags.margin_pct},
+                          lines);
+}
+
+/// By what it is: a folder, SQLite, XML.
+Result<ImportedApp> import_input(const ImportFlags& flags, std::vector<std::string>& lines,
+                                 Platform& platform) {
+  std::error_code error;
+  if (import::is_amalthea(flags.input)) {
+    XAUTO_ASSIGN(const import::AmaltheaModel model, import::read_amalthea(flags.input));
+    platform = import::amalthea_platform(model, name_of(flags));
+    return import::amalthea_app(model, {name_of(flags), flags.margin_pct}, lines);
+  }
+  if (fs::is_directory(flags.input, error) || !fs::exists(flags.input, error))
+    return import_trace(flags, lines);
+  if (!flags.architecture.empty())
+    return fail(ErrorCode::kInvalid, "goes with a folder of a ROS 2 trace", "--architecture",
+                "leave it out");
+  char first[16] = {};
+  std::ifstream(flags.input, std::ios::binary).read(first, sizeof first);
+  if (std::memcmp(first, "SQLite format 3", sizeof first) == 0) {
+    XAUTO_ASSIGN(const import::NsightTrace trace, import::read_nsight(flags.input));
+    return import::nsight_app(
+        trace, {name_of(flags), "Nsight Systems " + file_name_of(flags), flags.margin_pct}, lines);
+  }
+  return fail(ErrorCode::kInvalid, "is nothing that is known here", flags.input,
+              "name a folder of an LTTng trace, an export of `nsys export --type sqlite`, or an "
+              ".amxmi file");
 }
 
 /// "NET=TYPE:FILE"
@@ -77,22 +118,23 @@ Status add_nets(const ImportFlags& flags, bool alone, ImportedApp& made,
   return {};
 }
 
-Result<ImportedApp> import_all(const ImportFlags& flags, std::vector<std::string>& lines) {
-  if (flags.trace.empty() && flags.trtexec.empty() && flags.app.empty())
+Result<ImportedApp> import_all(const ImportFlags& flags, std::vector<std::string>& lines,
+                               Platform& platform) {
+  if (flags.input.empty() && flags.trtexec.empty() && flags.app.empty())
     return fail(ErrorCode::kInvalid, "there is nothing to import", "xauto import",
-                "name a trace, --trtexec or --app");
-  if (!flags.trace.empty() && !flags.app.empty())
-    return fail(ErrorCode::kInvalid, "does not go with a trace", "--app",
-                "import the trace first, and then into its app.json");
+                "name a trace or a model, --trtexec or --app");
+  if (!flags.input.empty() && !flags.app.empty())
+    return fail(ErrorCode::kInvalid, "does not go with a trace or a model", "--app",
+                "import that first, and then into its app.json");
   ImportedApp made;
-  if (!flags.trace.empty()) {
-    XAUTO_ASSIGN(made, import_trace(flags, lines));
+  if (!flags.input.empty()) {
+    XAUTO_ASSIGN(made, import_input(flags, lines, platform));
   } else if (!flags.app.empty()) {
     XAUTO_ASSIGN(made, load_imported(flags.app));
     if (!flags.name.empty()) made.app.name = flags.name;
   }
   if (!flags.trtexec.empty())
-    XAUTO_TRY(add_nets(flags, flags.trace.empty() && flags.app.empty(), made, lines));
+    XAUTO_TRY(add_nets(flags, flags.input.empty() && flags.app.empty(), made, lines));
   return parse_imported(to_json(made), "what was imported");
 }
 
@@ -161,8 +203,13 @@ Result<int> import_files(const ImportFlags& flags, const Options& options) {
   if (flags.ask && options.json)
     return fail(ErrorCode::kInvalid, "does not go with --json", "--ask", "leave one of them out");
   XAUTO_TRY(outputs.expect("--out", flags.out));
+  XAUTO_TRY(outputs.expect("--platform-out", flags.platform_out));
   std::vector<std::string> lines;
-  XAUTO_ASSIGN(ImportedApp made, import_all(flags, lines));
+  Platform platform;
+  XAUTO_ASSIGN(ImportedApp made, import_all(flags, lines, platform));
+  if (!flags.platform_out.empty() && platform.xpus.empty())
+    return fail(ErrorCode::kInvalid, "only a model has processing units", "--platform-out",
+                "name a platform.json, or a built-in one, where it is asked for");
   if (flags.ask) made = ask(std::move(made));
   std::vector<import::SkeletonFile> files;
   if (!flags.cpp.empty()) {
@@ -175,6 +222,7 @@ Result<int> import_files(const ImportFlags& flags, const Options& options) {
   else
     print(made, lines);
   if (!flags.out.empty()) outputs.write(flags.out, to_json(made));
+  if (!flags.platform_out.empty()) outputs.write(flags.platform_out, to_json(platform));
   for (const import::SkeletonFile& file : files)
     outputs.write((fs::path(flags.cpp) / file.name).string(), file.text);
   return outputs.status(kDone);
@@ -188,7 +236,10 @@ void add_import(Commands& commands) {
       "import", "Make app.json of what a program that knows nothing of XAuto has left.",
       "xauto import trace --architecture architecture.yaml --out app.json",
       [flags](const Options& options) { return import_files(*flags, options); });
-  verb.option("trace", flags->trace, "folder of an LTTng trace with ros2_tracing's events");
+  verb.option(
+      "input", flags->input,
+      "folder of an LTTng trace with ros2_tracing's events, what `nsys export --type sqlite` "
+      "has written, or a model of Amalthea (.amxmi, or a folder of such files)");
   verb.option("--architecture", flags->architecture,
               "CARET's architecture.yaml of it, which names chains");
   verb.option("--app", flags->app, "an app.json instead: to add to it, ask, or make a program");
@@ -199,10 +250,12 @@ void add_import(Commands& commands) {
   verb.option("--stages", flags->stages, "so many at most")
       .range<std::int64_t>(2, import::kMaxStages)
       .shown();
-  verb.option("--name", flags->name, "of the app").shown_as("the trace's");
+  verb.option("--name", flags->name, "of the app").shown_as("the input's");
   verb.option("--margin-pct", flags->margin_pct, "WCET = max + this much").range(0, 1000).shown();
   verb.flag("--ask", flags->ask, "ask on the terminal what the file does not know");
   verb.option("--out", flags->out, "where app.json goes");
+  verb.option("--platform-out", flags->platform_out,
+              "where a platform.json of a model's processing units goes");
   verb.option("--cpp", flags->cpp, "folder for a program to fill in, which runs with stand-ins");
 }
 

@@ -74,6 +74,7 @@ void add_report(Commands&);
 void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);
+void add_split(Commands&);
 void add_top(Commands&);
 void add_whatif(Commands&);
 

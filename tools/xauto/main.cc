@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   xauto::cli::add_generate(commands);
   xauto::cli::add_import(commands);
   xauto::cli::add_whatif(commands);
+  xauto::cli::add_split(commands);
   xauto::cli::add_profile(commands);
   xauto::cli::add_graph(commands);
   xauto::cli::add_solve(commands);

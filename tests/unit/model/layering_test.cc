@@ -49,7 +49,7 @@ const std::map<std::string, Names>& allowed() {
         "uapi"}},
       {"lib/app", {"model", "emu", "xpu", "session", "graph", "profile", "engine", "launch"}},
       {"lib/story", {"model", "trace", "uapi"}},
-      {"lib/import", {"model"}},
+      {"lib/import", {"model", "record"}},
       {"solver", {"model"}},
       {"include/xauto", {}},
       {"include/uapi", {}},
