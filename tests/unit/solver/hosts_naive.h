@@ -105,6 +105,9 @@ class HostsWorld {
   static constexpr double kNever = std::numeric_limits<double>::infinity();
   static constexpr double kSame = 1e-7, kBefore = -1e6;  ///< a clock that is ahead begins before 0
 
+  /// Whoever would have read the first releases was not yet there.
+  static constexpr int kFirst = 4;
+
   struct Job {
     int xnode = 0, n = 0;
     double key = 0, ready = kNever, left = 0, ended = kNever, began = kNever;
@@ -118,14 +121,15 @@ class HostsWorld {
     return static_cast<double>(app_.sources[at(source)].period.num) /
            static_cast<double>(app_.sources[at(source)].period.den);
   }
-  /// Who reads a source's clock for all: the host of the first that hears it.
+  /// One host reads a clock for all: that of the first XNode that hears one of its sources.
   [[nodiscard]] double number(int source, int n) const {
     const SourceSpec& s = app_.sources[at(source)];
     const double grid = static_cast<double>(s.offset_us) + period(source) * n;
     if (s.clock == 0) return grid;
     const double real = real_phase_[at(s.clock)] + grid / real_rate_[at(s.clock)];
     for (std::size_t i = 0; i < app_.xnodes.size(); ++i)
-      if (std::ranges::count(app_.xnodes[i].sources, source) > 0)
+      if (std::ranges::any_of(app_.xnodes[i].sources,
+                              [&](int other) { return app_.sources[at(other)].clock == s.clock; }))
         return clock(static_cast<int>(i)).reads(real);
     return real;
   }
@@ -297,9 +301,11 @@ class HostsWorld {
       int next = 0;  // release whose first result is looked for
       for (const Job& job : jobs_[at(chain.to)]) {
         const int newest = known(chain.to, job.n, chain.from, {});
-        for (; next <= newest; ++next)
+        for (; next <= newest; ++next) {
+          if (next < kFirst) continue;
           played_.chain_us[c] = std::max(
               played_.chain_us[c], clock(chain.to).reads(job.ended) - number(chain.from, next));
+        }
       }
     }
   }
