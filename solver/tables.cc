@@ -572,6 +572,10 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
                             const Scenarios& scenarios, const TablesOptions& options) {
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
+  if (!platform.hosts.empty())
+    return fail(ErrorCode::kInvalid,
+                "it has several hosts: no table changes on two of them at once",
+                "platform '" + platform.name + "'", "plan tables for each computer's own app");
   XAUTO_TRY(validate(scenarios, app, platform));
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
     if (scenarios.list[s].degraded && !app.has_deadlines())

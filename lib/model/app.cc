@@ -138,6 +138,7 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
     fnv.add(module->name);
     fnv.add(module->max_in_flight);
     fnv.add(module->optional ? 1 : 0);
+    if (!module->host.empty()) fnv.add("host " + module->host);
   }
   for (const XNodeSpec& x : app.xnodes) {
     std::vector<int> heard = x.sources;
@@ -145,6 +146,7 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
     size(heard.size());
     for (const int source : heard) fnv.add(source);
     add_variants(fnv, x);
+    if (x.message_bytes > 0) fnv.add("bytes " + std::to_string(x.message_bytes));
   }
   std::vector<std::pair<int, int>> samples = app.samples;
   std::sort(samples.begin(), samples.end());

@@ -57,6 +57,8 @@ struct XNodeSpec {
   /// Where it states a type of load, wcet_us is what it takes without. Of others nothing is known: it is taken to be
   /// as long beside them. contention.h reads it.
   std::vector<BesideSpec> beside = {};
+  std::int64_t message_bytes =
+      0;  ///< what it sends to another host, where somebody there hears it; 0: not stated
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   [[nodiscard]] int find_variant(std::string_view variant) const;  ///< index or -1
@@ -105,6 +107,7 @@ struct ModuleSpec {
   /// Activations that may be inside at once: activation n enters when n - max_in_flight has left.
   std::int64_t max_in_flight = 1;
   bool optional = false;  ///< may be off in a degraded mode
+  std::string host = {};  ///< of Platform::hosts, on which it has to be; empty: the solver chooses
   bool operator==(const ModuleSpec&) const = default;
 };
 
@@ -152,6 +155,9 @@ struct AppSpec {
   std::vector<std::pair<int, int>> samples = {};
   std::vector<ChainSpec> chains = {};  ///< the readers fill it in where the file has none
   std::vector<TransferSpec> transfers = {};
+  /// [sample] for how long its result is on its way once u has ended; empty: no time. In memory alone: of an app
+  /// that is spread over hosts (solver/keys/hosts.h).
+  std::vector<std::int64_t> sample_us = {};
   /// Why the profile that it was made from ended early; empty: it did not, or nobody has made one.
   std::string incomplete = {};
 
@@ -188,6 +194,7 @@ inline constexpr std::size_t kMaxTransfers = 2'000'000;
 inline constexpr std::size_t kMaxVariants = 64;              ///< of one XNode
 inline constexpr std::size_t kMaxBeside = 256;               ///< of one XNode
 inline constexpr std::int64_t kMaxMemoryKb = 1'000'000'000;  ///< a TB: sums of all instances fit
+inline constexpr std::int64_t kMaxMessageBytes = 1'000'000'000;
 inline constexpr std::int64_t kMaxWeight = 1000;
 inline constexpr std::int64_t kMaxInFlight = 1000;
 inline constexpr std::int64_t kMaxPpm = 100'000;  ///< a tenth: periods stay above 0

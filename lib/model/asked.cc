@@ -73,7 +73,8 @@ class Keeper {
       } else if (*at != asked) {
         lines_.push_back("kept: module '" + asked.name + "': max_in_flight " +
                          std::to_string(asked.max_in_flight) +
-                         (asked.optional ? ", optional" : ", not optional"));
+                         (asked.optional ? ", optional" : ", not optional") +
+                         (asked.host.empty() ? "" : ", host '" + asked.host + "'"));
         *at = asked;
       }
     }
@@ -116,6 +117,13 @@ class Keeper {
     if (limits > 0)
       lines_.push_back("kept: deadlines or weights of " + std::to_string(limits) + " chains");
     if (!kept.empty()) app_.chains = std::move(kept);
+  }
+
+  /// What no program says.
+  void messages() {
+    for (XNodeSpec& x : app_.xnodes)
+      if (const int asked = old_.find(x.name); asked >= 0)
+        x.message_bytes = old_.xnodes[static_cast<std::size_t>(asked)].message_bytes;
   }
 
   void transfers() {
@@ -200,6 +208,7 @@ Result<std::string> with_what_was_asked(AppSpec fresh, std::string_view old_text
     keeper.sources();
     keeper.modules();
     keeper.chains();
+    keeper.messages();
     keeper.transfers();
     valid = validate(fresh);
   }

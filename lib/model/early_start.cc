@@ -13,6 +13,7 @@
 #include "base/index.h"
 #include "model/components.h"
 #include "model/contention.h"
+#include "model/hosts.h"
 
 namespace xauto {
 namespace {
@@ -38,6 +39,8 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
   transfer.resize(waits.size(), 0);
   std::vector<std::vector<std::size_t>> into(n);
   for (std::size_t e = 0; e < waits.size(); ++e) into[at(waits[e].second)].push_back(e);
+  // Of what comes from another host nobody knows how early it may be there.
+  const std::vector<int> host = hosts_of(app, platform, policy);
   const std::vector<int> topological = app.topological_order(policy.order);
   // Of urgent releases by how much, and who hears of them.
   std::vector<std::int64_t> sooner(n, 0);
@@ -76,7 +79,8 @@ PlannedStarts planned_starts_us(const AppSpec& app, const Platform& platform,
         std::int64_t start = offset;
         if (held) start = std::max(start, entry(placed.hold_us, j) - by[at(i)]);
         for (const std::size_t e : into[at(i)])
-          start = std::max(start, entry(starts[at(waits[e].first)], j) + transfer[e]);
+          if (host[at(waits[e].first)] == host[at(i)])
+            start = std::max(start, entry(starts[at(waits[e].first)], j) + transfer[e]);
         starts[at(i)].push_back(start);
       }
     }

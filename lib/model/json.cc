@@ -15,6 +15,30 @@ using namespace json_parts;
 
 // ---- readers ------------------------------------------------------------------------------------
 
+namespace {
+
+/// Hosts, and the links between them.
+NameIndex read_hosts(const Reader& root, Platform& platform) {
+  NameIndex index;
+  if (root.has("hosts"))
+    root["hosts"].each_element(kMaxHosts, [&](std::size_t h, const Reader& x) {
+      Host host{x["name"].text()};
+      if (x.has("rate_ppm")) host.rate_ppm = x["rate_ppm"].integer(0, kMaxHostPpm);
+      index.try_emplace(host.name, static_cast<int>(h));
+      platform.hosts.push_back(std::move(host));
+    });
+  if (root.has("links"))
+    root["links"].each_element(kMaxHosts * kMaxHosts, [&](std::size_t, const Reader& x) {
+      HostLink link{read_name(x["from"], index, "host", "\"hosts\""),
+                    read_name(x["to"], index, "host", "\"hosts\""), x["base_us"].time()};
+      if (x.has("mbit_s")) link.mbit_s = x["mbit_s"].integer(1, kMaxMbitS);
+      platform.links.push_back(link);
+    });
+  return index;
+}
+
+}  // namespace
+
 Result<Platform> parse_platform(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
@@ -22,8 +46,11 @@ Result<Platform> parse_platform(std::string_view text, std::string_view origin, 
   root.expect("xauto.platform");
   Platform platform;
   platform.name = root["name"].text();
+  const NameIndex hosts = read_hosts(root, platform);
   root["xpus"].each_element(kMaxXpus, [&](std::size_t, const Reader& x) {
     Xpu xpu;
+    if (!hosts.empty() || x.has("host"))
+      xpu.host = read_name(x["host"], hosts, "host", "\"hosts\"");
     xpu.id = x["id"].text();
     xpu.type = x["type"].text();
     if (x.has("preemptive")) xpu.preemptive = x["preemptive"].boolean();
@@ -253,9 +280,19 @@ std::string to_json(const Platform& platform) {
     if (x.levels > 0) xpu["levels"] = x.levels;
     if (!x.preempt_measured) xpu["preempt_measured"] = false;
     if (x.emulated) xpu["emulated"] = *x.emulated;
+    if (!platform.hosts.empty())
+      xpu["host"] = platform.hosts[static_cast<std::size_t>(x.host)].name;
     xpus.push_back(std::move(xpu));
   }
   ordered_json document = {{"schema", "xauto.platform"}, {"version", 1}, {"name", platform.name}};
+  for (const Host& host : platform.hosts)
+    document["hosts"].push_back({{"name", host.name}, {"rate_ppm", host.rate_ppm}});
+  for (const HostLink& link : platform.links) {
+    document["links"].push_back({{"from", platform.hosts[static_cast<std::size_t>(link.from)].name},
+                                 {"to", platform.hosts[static_cast<std::size_t>(link.to)].name},
+                                 {"base_us", link.base_us}});
+    if (link.mbit_s > 0) document["links"].back()["mbit_s"] = link.mbit_s;
+  }
   document["xpus"] = std::move(xpus);
   return json_document::to_text(document);
 }

@@ -70,6 +70,8 @@ void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
     read_memory(x, spec);
     read_typical(x, spec);
     read_beside(x, spec);
+    if (x.has("message_bytes"))
+      spec.message_bytes = x["message_bytes"].integer(1, kMaxMessageBytes);
     spec.sources = read_heard(x, sources);
     if (x.has("real_on"))
       x["real_on"].each_element(kMaxXpus, [&](std::size_t, const Reader& type) {
@@ -166,6 +168,7 @@ void read_modules(const Reader& root, AppSpec& app) {
       if (m.has("max_in_flight"))
         module.max_in_flight = m["max_in_flight"].integer(1, kMaxInFlight);
       if (m.has("optional")) module.optional = m["optional"].boolean();
+      if (m.has("host")) module.host = m["host"].text();
       if (m.failed()) return;
       const auto found = named.find(module.name);
       if (found == named.end())
@@ -301,6 +304,7 @@ ordered_json xnodes_to_json(const AppSpec& app) {
     if (!x.typical_us.empty()) xnode["typical_us"] = ordered_json(x.typical_us);
     if (!x.real_on.empty()) xnode["real_on"] = x.real_on;
     if (!x.memory_kb.empty()) xnode["memory_kb"] = ordered_json(x.memory_kb);
+    if (x.message_bytes > 0) xnode["message_bytes"] = x.message_bytes;
     for (const VariantSpec& v : x.variants) {
       ordered_json variant = {
           {"name", v.name}, {"quality_pct", v.quality_pct}, {"wcet_us", ordered_json(v.wcet_us)}};
@@ -396,9 +400,11 @@ std::string to_json(const AppSpec& app) {
   if (ordered_json clocks = clocks_to_json(app); !clocks.empty())
     document["clocks"] = std::move(clocks);
   document["sources"] = sources_to_json(app);
-  for (const ModuleSpec& m : app.modules)
+  for (const ModuleSpec& m : app.modules) {
     document["modules"].push_back(
         {{"name", m.name}, {"max_in_flight", m.max_in_flight}, {"optional", m.optional}});
+    if (!m.host.empty()) document["modules"].back()["host"] = m.host;
+  }
   document["xnodes"] = xnodes_to_json(app);
   document["edges"] = edges_to_json(app);
   if (app.deadline_us) document["deadline_us"] = *app.deadline_us;

@@ -41,6 +41,24 @@ int read_xpu(const Reader& x, const Platform& platform) {
   return xpu;
 }
 
+int read_host(const Reader& name, const Platform& platform) {
+  const int host = platform.find_host(name.text());
+  if (!name.failed() && host < 0)
+    name.refuse("host '" + name.text() + "' is not in platform '" + platform.name + "'");
+  return host;
+}
+
+void read_crossings(const Reader& root, const AppSpec& app, const Platform& platform,
+                    Policy& policy) {
+  root.knows({"crossings/*/from", "crossings/*/to", "crossings/*/x_us"});
+  if (!root.has("crossings")) return;
+  const NameIndex xnodes = index_by_name(app.xnodes);
+  root["crossings"].each_element(kMaxXNodes * kMaxHosts, [&](std::size_t, const Reader& x) {
+    policy.crossings.push_back({read_name(x["from"], xnodes, "XNode", "the app"),
+                                read_host(x["to"], platform), x["x_us"].time()});
+  });
+}
+
 /// Its keys, and until when it is held; or a priority.
 void read_urgency(const Reader& x, Placement& p) {
   if (!x.has("priority")) {
@@ -111,6 +129,7 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
         if (x.has("wcet_us")) p.wcet_us = x["wcet_us"].integer(1, kMaxTimeUs);
       });
   if (root.has("order")) policy.order = read_pairs(root["order"], index_by_name(app.xnodes));
+  read_crossings(root, app, platform, policy);
   if (root.has("certified")) policy.certified = root["certified"].boolean();
   if (policy.certified &&
       !policy.by_priority())  // of priorities validate() says that nothing can be claimed
@@ -192,6 +211,10 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
   if (!policy.order.empty())
     document["order"] = pairs_to_json(
         policy.order, [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; });
+  for (const Crossing& c : policy.crossings)
+    document["crossings"].push_back({{"from", app.xnodes[static_cast<std::size_t>(c.from)].name},
+                                     {"to", platform.hosts[static_cast<std::size_t>(c.host)].name},
+                                     {"x_us", c.x_us}});
   if (policy.certified)
     document["chains"] = ordered_json::array();
   else

@@ -12,6 +12,18 @@ int Platform::find(std::string_view id) const {
   return -1;
 }
 
+int Platform::find_host(std::string_view host) const {
+  for (std::size_t h = 0; h < hosts.size(); ++h)
+    if (hosts[h].name == host) return static_cast<int>(h);
+  return -1;
+}
+
+const HostLink* Platform::link(int from, int to) const {
+  for (const HostLink& link : links)
+    if (link.from == from && link.to == to) return &link;
+  return nullptr;
+}
+
 std::vector<int> Platform::instances_of(std::string_view type) const {
   std::vector<int> found;
   for (std::size_t i = 0; i < xpus.size(); ++i)
@@ -91,6 +103,66 @@ std::string unmeasured(const Xpu& xpu) {
                          : "a run compares it with what suspending takes");
 }
 
+namespace {
+
+Status validate_hosts(const Platform& platform) {
+  const std::size_t count = platform.hosts.size();
+  if (count == 1 || count > kMaxHosts)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(count) + " hosts; 2 to " + std::to_string(kMaxHosts) +
+                    " are possible, or none",
+                "/hosts");
+  std::set<std::string> names;
+  for (std::size_t h = 0; h < count; ++h) {
+    const Host& host = platform.hosts[h];
+    const std::string at = "/hosts/" + std::to_string(h);
+    if (host.name.empty()) return fail(ErrorCode::kInvalid, "a host needs a name", at + "/name");
+    if (!names.insert(host.name).second)
+      return fail(ErrorCode::kInvalid, "two hosts are called '" + host.name + "'", at + "/name");
+    if (host.rate_ppm < 0 || host.rate_ppm > kMaxHostPpm)
+      return fail(
+          ErrorCode::kInvalid,
+          std::to_string(host.rate_ppm) + " is not in 0 to " + std::to_string(kMaxHostPpm) + " ppm",
+          at + "/rate_ppm");
+    if (std::ranges::none_of(platform.xpus,
+                             [&](const Xpu& x) { return x.host == static_cast<int>(h); }))
+      return fail(ErrorCode::kInvalid, "host '" + host.name + "' has no XPU", at + "/name");
+  }
+  const auto is_host = [&](int host) {
+    return host >= 0 && static_cast<std::size_t>(host) < count;
+  };
+  for (std::size_t i = 0; i < platform.xpus.size(); ++i)
+    if (count > 0 ? !is_host(platform.xpus[i].host) : platform.xpus[i].host != 0)
+      return fail(ErrorCode::kInvalid, "XPU '" + platform.xpus[i].id + "' is on no host",
+                  "/xpus/" + std::to_string(i) + "/host");
+  std::set<std::pair<int, int>> ways;
+  for (std::size_t l = 0; l < platform.links.size(); ++l) {
+    const HostLink& link = platform.links[l];
+    const std::string at = "/links/" + std::to_string(l);
+    if (!is_host(link.from) || !is_host(link.to) || link.from == link.to)
+      return fail(ErrorCode::kInvalid, "a link leads from one host to another one", at);
+    if (!ways.insert({link.from, link.to}).second)
+      return fail(ErrorCode::kInvalid,
+                  "a second link from '" +
+                      platform.hosts[static_cast<std::size_t>(link.from)].name + "' to '" +
+                      platform.hosts[static_cast<std::size_t>(link.to)].name + "'",
+                  at, "state the one that messages take");
+    if (link.base_us < 0 || link.base_us > kMaxTimeUs)
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(link.base_us) + " is not a time from 0 to " +
+                      std::to_string(kMaxTimeUs) + " us",
+                  at + "/base_us");
+    if (link.mbit_s < 0 || link.mbit_s > kMaxMbitS)
+      return fail(
+          ErrorCode::kInvalid,
+          std::to_string(link.mbit_s) + " is not in 0 to " + std::to_string(kMaxMbitS) + " Mbit/s",
+          at + "/mbit_s");
+  }
+  return {};
+}
+
+}  // namespace
+
 Status validate(const Platform& platform) {
   if (platform.xpus.empty() || platform.xpus.size() > kMaxXpus)
     return fail(ErrorCode::kInvalid,
@@ -136,7 +208,7 @@ Status validate(const Platform& platform) {
       return fail(ErrorCode::kInvalid, "XPU '" + xpu.id + "' has levels and is not preemptive",
                   at + "/levels", "by levels the hardware preempts: leave one of the two out");
   }
-  return {};
+  return validate_hosts(platform);
 }
 
 const char* to_string(Discipline discipline) {

@@ -32,6 +32,7 @@ struct Xpu {
   /// preempt_us was measured on this kind of machine. If not, whoever claims by it says so, and a run compares it with
   /// what suspending takes.
   bool preempt_measured = true;
+  int host = 0;  ///< index into Platform::hosts, if there are any
   /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
   /// xpu/presence.h.
   std::optional<bool> emulated = {};
@@ -42,14 +43,34 @@ struct Xpu {
   bool operator==(const Xpu&) const = default;
 };
 
+/// One of several computers that an app is spread over. Keys on its XPUs are read on its own clock.
+struct Host {
+  std::string name;
+  std::int64_t rate_ppm = 0;  ///< how much faster or slower its clock may run than true time
+  bool operator==(const Host&) const = default;
+};
+
+/// How messages get from one host to another: after base_us, and what the link's messages take at mbit_s, all of them
+/// together (docs/keys.md, "Hosts").
+struct HostLink {
+  int from = -1, to = -1;  ///< indices into Platform::hosts
+  std::int64_t base_us = 0;
+  std::int64_t mbit_s = 0;  ///< megabits a second; 0: the size of a message costs nothing
+  bool operator==(const HostLink&) const = default;
+};
+
 struct Platform {
   std::string name;
   std::vector<Xpu> xpus;
+  std::vector<Host> hosts = {};  ///< empty: all XPUs are of one machine
+  std::vector<HostLink> links = {};
 
   /// Index into `xpus`, or -1.
   [[nodiscard]] int find(std::string_view id) const;
   /// Indices into `xpus` of the instances of `type`, ascending.
   [[nodiscard]] std::vector<int> instances_of(std::string_view type) const;
+  [[nodiscard]] int find_host(std::string_view host) const;    ///< index into `hosts`, or -1
+  [[nodiscard]] const HostLink* link(int from, int to) const;  ///< null: there is none
   /// Distinct types in order of first appearance.
   [[nodiscard]] std::vector<std::string> types() const;
   bool operator==(const Platform&) const = default;
@@ -72,6 +93,10 @@ inline constexpr std::size_t kMaxXpus = 256;
 /// The co-run class in which all types are loaded at once that can be (XNodeProfile::beside). No name of a type.
 inline constexpr const char* kEveryType = "*";
 inline constexpr int kMaxLevels = 1024;
+inline constexpr std::size_t kMaxHosts = 16;
+inline constexpr std::int64_t kMaxHostPpm =
+    10'000;  ///< a servo that corrects a clock stays below 500
+inline constexpr std::int64_t kMaxMbitS = 1'000'000;
 inline constexpr std::int64_t kMaxTimeUs =
     1'000'000'000'000;  ///< about 11 days; sums stay far from overflow
 
@@ -79,7 +104,8 @@ inline constexpr std::int64_t kMaxTimeUs =
 [[nodiscard]] std::string unmeasured(const Xpu& xpu);
 
 /// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], levels 0 or in 2..kMaxLevels
-/// and only where it is preemptive, 1..kMaxXpus instances.
+/// and only where it is preemptive, 1..kMaxXpus instances. Hosts: at least two or none, each with an XPU, names unique;
+/// links between two of them, one for each way.
 [[nodiscard]] Status validate(const Platform& platform);
 
 /// Whether an XPU of the platform is there in a run.

@@ -8,6 +8,7 @@
 #include "base/index.h"
 #include "model/components.h"
 #include "model/contention.h"
+#include "model/hosts.h"
 #include "model/refusal.h"
 
 namespace xauto {
@@ -100,6 +101,29 @@ class Validation {
                            "': they are not released together, so no activations belong together",
                        "/order/" + std::to_string(k),
                        "order is between XNodes of one clock, one period and one offset");
+    return {};
+  }
+
+  /// Those that the places ask for, and no other ones; not shorter than the links say.
+  [[nodiscard]] Status crossings() const {
+    XAUTO_ASSIGN(const std::vector<Crossing> needed, crossings_of(app_, platform_, policy_));
+    for (std::size_t k = 0; k < policy_.crossings.size(); ++k) {
+      const Crossing& c = policy_.crossings[k];
+      const std::string where = "/crossings/" + std::to_string(k);
+      if (k >= needed.size() || c.from != needed[k].from || c.host != needed[k].host)
+        return invalid(
+            "is no message that the places ask for, or not in the order of XNodes and hosts", where,
+            kHint);
+      if (c.x_us < needed[k].x_us || c.x_us > kMaxTimeUs)
+        return invalid("is " + std::to_string(c.x_us) + " us; the link takes " +
+                           std::to_string(needed[k].x_us) + " us or more",
+                       where + "/x_us", kHint);
+    }
+    if (policy_.crossings.size() < needed.size())
+      return invalid("lacks what '" + app_.xnodes[at(needed[policy_.crossings.size()].from)].name +
+                         "' sends to host '" +
+                         platform_.hosts[at(needed[policy_.crossings.size()].host)].name + "'",
+                     "/crossings", kHint);
     return {};
   }
 
@@ -278,6 +302,7 @@ Status validate(const Policy& policy, const AppSpec& app, const Platform& platfo
   const Validation validation(policy, app, platform, components);
   XAUTO_TRY(policy.by_priority() ? validation.priorities() : validation.placements());
   XAUTO_TRY(validation.order());
+  XAUTO_TRY(validation.crossings());
   if (!policy.by_priority()) {
     XAUTO_TRY(validation.edges());
     XAUTO_TRY(validation.chains());
@@ -309,6 +334,13 @@ std::vector<std::int64_t> transfers_us(const Policy& policy, const AppSpec& app,
   for (const TransferSpec& t : app.transfers) {
     const auto [u, v] = app.edges[at(t.edge)];
     if (t.from_type == type(u) && t.to_type == type(v)) transfer[at(t.edge)] = t.transfer_us;
+  }
+  if (policy.crossings.empty()) return transfer;
+  for (std::size_t e = 0; e < app.edges.size(); ++e) {
+    const auto [u, v] = app.edges[e];
+    const int to = platform.xpus[at(policy.placements[at(v)].xpu)].host;
+    for (const Crossing& c : policy.crossings)
+      if (c.from == u && c.host == to) transfer[e] += c.x_us;
   }
   return transfer;
 }

@@ -51,6 +51,15 @@ struct ChainClaim {
   bool operator==(const ChainClaim&) const = default;
 };
 
+/// A message between hosts: what `from` publishes is on `host`, by that host's clock, at most x_us after the key of
+/// `from`. A run watches it.
+struct Crossing {
+  int from = -1;  ///< index into AppSpec::xnodes
+  int host = -1;  ///< index into Platform::hosts, not the one of `from`
+  std::int64_t x_us = 0;
+  bool operator==(const Crossing&) const = default;
+};
+
 /// The best that was found is a policy too where nothing can be certified. Then it only says who goes first: no chain
 /// has a claim, and no job is said to end by its key.
 struct Policy {
@@ -65,7 +74,8 @@ struct Policy {
   /// Pairs (u, v) of XNodes on one XPU that are released together (released_together): v of an activation is not
   /// started before u of it has ended. A pair does what an edge does, without a message.
   std::vector<std::pair<int, int>> order = {};
-  bool certified = true;  ///< false: nothing is claimed
+  std::vector<Crossing> crossings = {};  ///< by XNode, then host: those of crossings_of() (hosts.h)
+  bool certified = true;                 ///< false: nothing is claimed
   /// It has priorities, and no keys: what baselines have, and what is written by hand. Nothing is claimed of it.
   [[nodiscard]] bool by_priority() const {
     return !placements.empty() && placements.front().priority.has_value();
@@ -87,7 +97,7 @@ struct Policy {
 /// By its claims.
 [[nodiscard]] bool misses_a_deadline(const Policy& policy, const AppSpec& app);
 
-/// [edge] what its message costs where the policy has both ends.
+/// [edge] what its message costs where the policy has both ends, between hosts with its crossing.
 [[nodiscard]] std::vector<std::int64_t> transfers_us(const Policy& policy, const AppSpec& app,
                                                      const Platform& platform);
 

@@ -150,7 +150,9 @@ struct Way {
       const int u = leaves_by(p, chain, samples, next);
       const Component& cu = p.components[at(p.component_of[at(u)])];
       const std::int64_t ppm = p.domains[at(cu.domain)].ppm;
-      const Tick due = d(u, k) - (next == 0 ? sooner : 0);
+      // ... and its result is where it is read.
+      const Tick due = d(u, k) - (next == 0 ? sooner : 0) +
+                       (next < samples.size() ? p.sample_passes[at(samples[next])] : 0);
       const Tick ends = marks.least(ppm) + due;
       if (next == samples.size()) return ends;
       const int v = p.samples[at(samples[next])].second;

@@ -2,7 +2,8 @@
 // Chains: how long a release takes at most to reach a chain's end, from keys and holds alone.
 //
 // Inside a component: d of the last XNode - (offset of the source - phase).
-// Through a sample u -> v: v reads when it starts, not before its release + e, its earliest start.
+// Through a sample u -> v: v reads when it starts, not before its release + e, its earliest start. Where u's result is
+// on its way for a time, d_u is longer by that.
 //   One domain:  the first activation n of v with  release(n) + e_v(n) >= release(k) + d_u(k).
 //                Where v's release may be urgent, it may start sooner. Where the clock drifts several may
 //                be the first: n is released at most a period - e_v(n-1) after u's end, too.

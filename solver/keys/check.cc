@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "solver/keys/check.h"
 
+#include <map>
+
 #include <fmt/format.h>
 
 #include "model/contention.h"
@@ -81,8 +83,10 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
                 "policy", "`xauto solve` says what would make it certified");
   CheckReport report;
   XAUTO_ASSIGN(const checking::Ticks ticks, checking::ticks_beside(app, platform, beside));
-  const Result<checking::World> derived =
-      checking::derive(app, platform, policy, true, ticks, !beside.nobody());
+  const Platform timed = checking::by_its_clocks(platform);
+  // Nobody counts who meets whom on several hosts.
+  const Result<checking::World> derived = checking::derive(
+      app, timed, policy, true, ticks, !beside.nobody() || !platform.hosts.empty());
   if (!derived) {
     XAUTO_TRY(checking::keep_lie(derived.error(), report));
     return report;
@@ -96,6 +100,13 @@ Result<CheckReport> examine(const AppSpec& app, const Platform& platform, const 
     std::vector<JobWindow>& list = report.windows.emplace_back();
     for (const checking::Window& window : windows) list.push_back({w.us(window.a), w.us(window.d)});
   }
+  std::map<std::pair<int, int>, checking::Ticks> ways;  // from host to host
+  for (const auto& [message, x] : w.crossing) ways[{w.host[at(message.first)], message.second}] = x;
+  for (const auto& [ends, x] : ways)
+    report.taken.push_back(fmt::format(
+        "that what leaves host '{}' by a reading of its clock is on host '{}' {} us later, by that "
+        "one's clock",
+        platform.hosts[at(ends.first)].name, platform.hosts[at(ends.second)].name, w.us_up(x)));
   std::int64_t longest_us = 0;
   for (const Placement& placed : policy.placements)
     longest_us = std::max(longest_us, *std::ranges::max_element(placed.key_us));

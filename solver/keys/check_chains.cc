@@ -315,7 +315,7 @@ class Walk {
   void follow_one(int u, int v, std::int64_t n, const Instant& so_far, Ticks latest, Late& next) {
     const Component &from = w_.home(u), &to = w_.home(v);
     const Ticks release = from.phi + n * from.period;
-    const Ticks end = due(u, n);
+    const Ticks end = due(u, n) + w_.passes(u, v);
     const auto classes = static_cast<std::int64_t>(next.size());
     // The first that knows it with the least drift, up to the one that does with the most.
     const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
@@ -342,7 +342,8 @@ class Walk {
     Fine end = fine(kUnreached);
     for (std::size_t n = 0; n < late.size(); ++n)
       late.each(n, [&](const Instant& l) {
-        end = std::max(end, value(l, w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
+        end = std::max(end, value(l, w_.home(u)) +
+                                fine(due(u, static_cast<std::int64_t>(n)) + w_.passes(u, v)));
       });
     const Component& to = w_.home(v);
     next = Late(static_cast<std::size_t>(to.classes));

@@ -90,6 +90,9 @@ Status check_indices(const AppSpec& app, const Platform& platform, const Policy&
   for (const TransferSpec& t : app.transfers)
     if (!in(t.edge, app.edges.size()) || t.transfer_us < 0 || t.transfer_us > kMaxTimeUs)
       return invalid("edge or time out of range", "transfers");
+  for (const Crossing& c : policy.crossings)
+    if (!in(c.from, n) || !in(c.host, platform.hosts.size()) || c.x_us < 0 || c.x_us > kMaxTimeUs)
+      return invalid("XNode, host or time out of range", "crossings");
   if (policy.app != app.name || policy.app_hash != app.hash())
     return fail(ErrorCode::kInfeasible,
                 fmt::format("it is for app '{}' with hash {}, not '{}' with hash {}", policy.app,
@@ -156,6 +159,7 @@ Status set_scale(World& w, bool fine) {
     w.wcet.push_back(wcet);
   }
   for (const TransferSpec& t : w.app.transfers) longest = std::max(longest, t.transfer_us);
+  for (const Crossing& c : w.policy.crossings) longest = std::max(longest, c.x_us);
   if (longest > kMaxTicks / w.scale)
     return invalid(fmt::format("{} us in steps of 1/{} us do not fit", longest, w.scale), "times",
                    "state periods as ratios of smaller numbers");
@@ -182,14 +186,18 @@ Status set_graph(World& w) {
   const auto type_of = [&](int x) {
     return w.platform.xpus[at(w.policy.placements[at(x)].xpu)].type;
   };
+  std::int64_t worst_ppm = 0;  // of hosts: the message passes by any of their clocks
+  for (const Host& host : w.platform.hosts) worst_ppm = std::max(worst_ppm, host.rate_ppm);
   for (const TransferSpec& t : w.app.transfers) {
     const auto& [u, v] = w.app.edges[at(t.edge)];
     if (type_of(u) == t.from_type && type_of(v) == t.to_type)
-      transfer[at(t.edge)] = std::max(transfer[at(t.edge)], t.transfer_us * w.scale);
+      transfer[at(t.edge)] = std::max(
+          transfer[at(t.edge)], ceil_div(static_cast<__int128>(t.transfer_us) * w.scale * kMillion,
+                                         kMillion - worst_ppm));
   }
   for (std::size_t k = 0; k < w.app.edges.size(); ++k) {
     const auto& [u, v] = w.app.edges[k];
-    w.before[at(v)].emplace_back(u, transfer[k]);
+    w.before[at(v)].emplace_back(u, transfer[k] + w.passes(u, v));
     w.after[at(u)].push_back(v);
   }
   w.hearers = w.after;
@@ -260,6 +268,16 @@ Status set_modules(World& w) {
   return {};
 }
 
+/// How far the grid of a clock may be off, read by any host. That of "main" is the host's own.
+std::int64_t ppm_on_hosts(const World& w, int clock) {
+  std::int64_t most = 0;
+  for (const Host& host : w.platform.hosts) most = std::max(most, host.rate_ppm);
+  const std::int64_t own = w.app.clocks[at(clock)].ppm;
+  return clock == 0 || most == 0
+             ? own
+             : ceil_div(static_cast<__int128>(own + most) * kMillion, kMillion - most);
+}
+
 /// Components by union of edges and modules; one clock and one period in each.
 Status set_components(World& w) {
   const std::size_t n = w.app.xnodes.size();
@@ -299,7 +317,7 @@ Status set_components(World& w) {
   }
   for (Component& c : w.components) {
     const SourceSpec& first = w.app.sources[at(c.sources[0])];
-    c.ppm = w.app.clocks[at(c.clock)].ppm;
+    c.ppm = ppm_on_hosts(w, c.clock);
     c.period = first.period.num * (w.scale / first.period.den);
     c.phi = first.offset_us * w.scale;
     for (const int s : c.sources) {
@@ -409,7 +427,8 @@ Status set_windows(World& w) {
       window.e = early;
       for (const auto& [u, transfer] : w.before[at(i)]) {
         window.a = std::max(window.a, w.windows[at(u)][j].d + transfer);
-        window.e = std::max(window.e, w.windows[at(u)][j].e + transfer);
+        if (w.host[at(u)] == w.host[at(i)])  // on another host it may start earlier, by this clock
+          window.e = std::max(window.e, w.windows[at(u)][j].e + transfer);
       }
       if (!p.hold_us.empty()) {
         const Ticks hold = p.hold_us[j % p.hold_us.size()] * w.scale;
@@ -484,7 +503,7 @@ Status set_urgent(World& w) {
       for (const auto& [u, transfer] : w.before[at(i)]) {
         const Window& before = w.urgent[at(u)].empty() ? w.windows[at(u)][j] : w.urgent[at(u)][j];
         window.a = std::max(window.a, before.d + transfer);
-        window.e = std::max(window.e, before.e + transfer);
+        if (w.host[at(u)] == w.host[at(i)]) window.e = std::max(window.e, before.e + transfer);
       }
       const auto n = static_cast<std::int64_t>(j);
       const int m = w.module_of[at(i)];
@@ -552,6 +571,7 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const Poli
   World w{app, platform, policy};
   w.scale = multiple_of;
   XAUTO_TRY(world::set_scale(w, fine));
+  XAUTO_TRY(set_hosts(w));
   XAUTO_TRY(world::set_graph(w));
   XAUTO_TRY(world::set_modules(w));
   XAUTO_TRY(world::set_components(w));

@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -63,8 +64,11 @@ struct World {
   std::vector<int> module_of;                   ///< [xnode]
   std::vector<char> entry;                      ///< [xnode] has no predecessor inside its module
   std::vector<int> order;                       ///< topological, by all that waits
-  std::vector<Ticks> wcet;  ///< [xnode] on its XPU, as the policy counts it; no preemption charged
-  std::vector<std::vector<Window>> windows;  ///< [xnode][activation mod classes]
+  /// [xnode] on its XPU, as the policy counts it, by its host's clock; no preemption charged
+  std::vector<Ticks> wcet;
+  std::vector<int> host;  ///< [xnode] index into Platform::hosts; all 0 where there are none
+  std::map<std::pair<int, int>, Ticks> crossing;  ///< (xnode, host) a message's time between hosts
+  std::vector<std::vector<Window>> windows;       ///< [xnode][activation mod classes]
   /// The same in an urgent release; empty where an XNode does not hear of an urgent source.
   std::vector<std::vector<Window>> urgent;
   std::vector<char> hears_urgent;  ///< [xnode] of its component's urgent source, by edges
@@ -85,6 +89,11 @@ struct World {
     if (all.empty()) return e;
     const auto size = static_cast<std::int64_t>(all.size());
     return std::min(e, all[static_cast<std::size_t>((activation % size + size) % size)].e);
+  }
+  /// Until what `u` publishes is where `v` is.
+  [[nodiscard]] Ticks passes(int u, int v) const {
+    const auto found = crossing.find({u, host[at(v)]});
+    return host[at(u)] == host[at(v)] || found == crossing.end() ? 0 : found->second;
   }
   [[nodiscard]] const std::string& name(int xnode) const { return app.xnodes[at(xnode)].name; }
   [[nodiscard]] double us(Ticks t) const {
@@ -112,6 +121,13 @@ inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 [[nodiscard]] Ticks ceil_div(__int128 a, Ticks b);
 /// Least common multiple; 0 where it exceeds kMaxTicks.
 [[nodiscard]] Ticks lcm(Ticks a, Ticks b);
+
+/// Hosts (check_hosts.cc): which messages cross, and that the policy's crossings are as long as their links need;
+/// each module on one host, the one that the app says. WCETs and clocks as hosts read them.
+[[nodiscard]] Status set_hosts(World& w);
+
+/// Preemptions cost what hosts' clocks read meanwhile.
+[[nodiscard]] Platform by_its_clocks(const Platform& platform);
 
 /// All but the windows, which only a policy has that holds. `fine`: in ticks in which drift, too, is
 /// exact, where they fit.

@@ -121,7 +121,9 @@ class Dropping {
         const std::size_t s = at(p_.slot[at(i)] + n);
         const Tick a = std::max(ready_[s], w_.hold[s]);
         Tick e = w_.hold[s];
-        for (const EdgeEnd& link : p_.pred[at(i)]) e = std::max(e, w_.e[p_.slot_of(link.xnode, n)]);
+        for (const EdgeEnd& link : p_.pred[at(i)])
+          if (p_.one_clock(xpu_[at(link.xnode)], xpu_[at(i)]))
+            e = std::max(e, w_.e[p_.slot_of(link.xnode, n)]);
         if (e != w_.e[s]) sooner[at(i)] = 1;
         if (e != w_.e[s] || a != w_.a[s]) touched[at(xpu_[at(i)])] = 1;
         w_.a[s] = a;

@@ -149,8 +149,12 @@ class Play {
     ends_of_.resize(n);
     planned_us_ = planned_starts_us(w.app, w.platform, w.policy);
     sampled_.resize(n);
-    for (const auto& [u, v] : w.app.samples) sampled_[at(v)].push_back(u);
     apart_ = kept_apart(w.app, w.platform, w.policy);
+    far_.resize(n);
+    for (const auto& [u, v] : w.app.samples) {
+      sampled_[at(v)].push_back(u);
+      if (const Ticks passes = w.passes(u, v); passes > 0) far_[at(u)].push_back({v, passes, 0});
+    }
     released_.assign(w.components.size(), {-1, 0});
     for (std::size_t i = 0; i < n; ++i)
       devices_[at(w.policy.placements[i].xpu)].xnodes.push_back(static_cast<int>(i));
@@ -198,6 +202,8 @@ class Play {
         events_.pop();
         if (e.kind == Kind::kEnds)
           ends(e);
+        else if (e.kind == Kind::kHeard)
+          ++far_[at(e.index)][at(static_cast<int>(e.activation))].there;
         else if (e.kind == Kind::kArrives)
           arrives(e.index, e.activation);
         else if (e.kind == Kind::kPlanned)
@@ -230,12 +236,12 @@ class Play {
 
  private:
   using Ticks = checking::Ticks;
-  enum class Kind : std::uint8_t { kEnds, kReleases, kArrives, kPlanned };
+  enum class Kind : std::uint8_t { kEnds, kHeard, kReleases, kArrives, kPlanned };
   struct Event {
     Atoms when;
     Kind kind;
-    int index;  ///< XNode, or component
-    std::int64_t activation;
+    int index;                ///< XNode, or component
+    std::int64_t activation;  ///< kHeard: which of far_[index]
     std::uint32_t stamp;
     bool operator>(const Event& o) const { return when != o.when ? when > o.when : kind > o.kind; }
   };
@@ -439,6 +445,7 @@ class Play {
     for (const int x : apart_[at(xnode)])
       if (first_open(x).second <= j.planned) return false;
     for (const int u : sampled_[at(xnode)]) {
+      if (w_.passes(u, xnode) > 0) return false;  // nobody tells whether it is there
       const auto [release, key] = first_open(u);
       const bool one_clock = w_.home(u).clock == w_.home(xnode).clock;
       const bool released = done_[at(u)] <= released_[at(w_.component_of[at(u)])].first;
@@ -474,6 +481,9 @@ class Play {
       for (const auto& [u, transfer] : w_.before[at(v)])
         if (u == e.index)
           events_.push({now_ + transfer * kMillion, Kind::kArrives, v, e.activation, 0});
+    for (std::size_t s = 0; s < far_[at(e.index)].size(); ++s)
+      events_.push({now_ + far_[at(e.index)][s].passes * kMillion, Kind::kHeard, e.index,
+                    static_cast<std::int64_t>(s), 0});
     look_at(e.index, e.activation + 1);
     const int m = w_.module_of[at(e.index)];
     std::int64_t left = done_[at(e.index)];
@@ -536,11 +546,18 @@ class Play {
     return all.activations.front();
   }
 
+  /// So many results of the first of `sample` are where the second reads them.
+  [[nodiscard]] std::int64_t there(const std::pair<int, int>& sample) const {
+    for (const Far& far : far_[at(sample.first)])
+      if (far.reader == sample.second) return far.there;
+    return done_[at(sample.first)];
+  }
+
   /// The reader reads: the newest result that is there, along each path.
   void read(int xnode) {
     for (const auto& [p, h] : starts_of_[at(xnode)]) {
       Path& path = paths_[p];
-      const std::int64_t newest = done_[at(path.samples[h].first)] - 1;
+      const std::int64_t newest = there(path.samples[h]) - 1;
       std::int64_t knows = newest;
       if (h > 0 && newest >= 0) knows = known(path.known[h - 1], newest);
       path.known[h].activations.push_back(knows);
@@ -600,6 +617,13 @@ class Play {
   PlannedStarts planned_us_;
   std::vector<std::vector<int>> sampled_;  ///< [xnode] what it reads
   std::vector<std::vector<int>> apart_;    ///< [xnode] of kept_apart
+  /// Who samples it on another host.
+  struct Far {
+    int reader;
+    Ticks passes;
+    std::int64_t there;  ///< results that have arrived
+  };
+  std::vector<std::vector<Far>> far_;  ///< [xnode]
   std::vector<std::pair<std::int64_t, Atoms>>
       released_;              ///< [component] the last release, and when
   std::vector<Atoms> began_;  ///< [release] when, of an app that releases one at a time
@@ -644,6 +668,7 @@ Result<PlayReport> play(const AppSpec& app, const Platform& platform, const Poli
   for (const SourceSpec& s : app.sources) longest = std::max({longest, s.offset_us, s.jitter_us});
   for (const Xpu& x : platform.xpus) longest = std::max(longest, x.preempt_us);
   for (const TransferSpec& t : app.transfers) longest = std::max(longest, t.transfer_us);
+  for (const Crossing& c : policy.crossings) longest = std::max(longest, c.x_us);
   for (const checking::Ticks t : w.wcet) longest = std::max(longest, w.us_up(t));
   for (const Placement& p : policy.placements)
     for (const auto* times : {&p.key_us, &p.hold_us})

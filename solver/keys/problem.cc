@@ -72,6 +72,7 @@ struct Builder {
     for (const XNodeSpec& x : app.xnodes) p.xnode_name.push_back(x.name);
     for (const Xpu& xpu : platform.xpus) {
       p.xpu_name.push_back(xpu.id);
+      p.xpu_host.push_back(xpu.host);
       Tick cost = 0;
       XAUTO_TRY(ticks(xpu.preempt_us, "preempt_us of XPU '" + xpu.id + "'", cost));
       p.preempt.push_back(cost);
@@ -528,6 +529,9 @@ struct Builder {
 
   Status set_chains() const {
     p.samples = app.samples;
+    p.sample_passes.assign(p.samples.size(), 0);
+    for (std::size_t s = 0; s < app.sample_us.size(); ++s)
+      XAUTO_TRY(ticks(app.sample_us[s], "sample_us", p.sample_passes[s]));
     p.reads.assign(at(p.num_xnodes), 0);
     for (const auto& [u, v] : p.samples) {
       if (u < 0 || v < 0 || u >= p.num_xnodes || v >= p.num_xnodes)

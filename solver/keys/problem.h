@@ -118,6 +118,7 @@ struct Problem {
   Tick scale = 1;  ///< ticks per microsecond
   std::vector<std::string> xnode_name, xpu_name, type_name, clock_name;
   std::vector<int> xpu_type;                ///< [xpu]
+  std::vector<int> xpu_host;                ///< [xpu] whose clock its keys are read on
   std::vector<std::vector<int>> type_xpus;  ///< [type]
   std::vector<char> preemptive;             ///< [xpu]
   std::vector<int> levels;    ///< [xpu] so many jobs may have started at once; not preemptive: 1
@@ -144,6 +145,7 @@ struct Problem {
   std::vector<Tick> root_ready;              ///< [root] largest of J + offset - phase
   std::vector<std::vector<Tick>> transfers;  ///< [from type * num_types + to type]
   std::vector<std::pair<int, int>> samples;  ///< (u, v)
+  std::vector<Tick> sample_passes;           ///< [sample] for how long its result is on its way
   std::vector<char> reads;                   ///< [xnode] the second of some sample
   std::vector<char> urgent;                  ///< [xnode] hears of its component's urgent source
   bool any_urgent = false;
@@ -192,6 +194,10 @@ struct Problem {
   [[nodiscard]] bool before(int a, int b) const {  ///< b waits for a, by edges and order
     return part_of[at(a)] == part_of[at(b)] &&
            ((reach[at(a)][at(place[at(b)] / 64)] >> (place[at(b)] % 64)) & 1U) != 0;
+  }
+  /// Their keys are read on one clock.
+  [[nodiscard]] bool one_clock(int xpu, int other) const {
+    return xpu_host[at(xpu)] == xpu_host[at(other)];
   }
   /// What the message of `link` costs from `from_xpu` to `to_xpu`.
   [[nodiscard]] Tick transfer(const EdgeEnd& link, int from_xpu, int to_xpu) const {

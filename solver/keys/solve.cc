@@ -12,6 +12,7 @@
 #include "solver/keys/contention.h"
 #include "solver/keys/exhibit.h"
 #include "solver/keys/holds.h"
+#include "solver/keys/hosts.h"
 #include "solver/keys/lower_bounds.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/search.h"
@@ -555,6 +556,7 @@ Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) 
 }
 
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
+  if (!platform.hosts.empty() && !options.spread) return solve_on_hosts(app, platform, options);
   const TimePoint began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes, {}, options.beside));
   if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));

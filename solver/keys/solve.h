@@ -52,6 +52,7 @@ struct Options {
   const Policy* hint = nullptr;
   Beside beside = {};  ///< others, whose claims stay, and a reserve (docs/keys.md, "Apps compose")
   Keep keep = Keep::kNothing;
+  bool spread = false;  ///< app and platform are solve_on_hosts()'s: a type is of a host
 };
 
 /// Of all chains' worst cases. Where a chain has a deadline, in parts of deadlines: one that has none counts in the

@@ -330,9 +330,11 @@ void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Win
     for (const EdgeEnd& link : p.pred[at(i)]) {
       const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
       const std::size_t from = at(p.slot[at(link.xnode)]);
+      // Another host's clock may be ahead: nothing is known of when that one starts.
+      const bool here = p.one_clock(xpu[at(link.xnode)], xpu[at(i)]);
       for (std::size_t n = 0; n < at(component.jobs); ++n) {
         w.a[base + n] = std::max(w.a[base + n], w.d[from + n] + passes);
-        w.e[base + n] = std::max(w.e[base + n], w.e[from + n]);
+        if (here) w.e[base + n] = std::max(w.e[base + n], w.e[from + n]);
       }
     }
   }
@@ -359,7 +361,7 @@ void derive_urgent(const Problem& p, const std::vector<int>& xpu, const Windows&
           const std::size_t from = at(p.slot[at(link.xnode)]) + n;
           const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
           u.a[s] = std::max(u.a[s], u.d[from] + passes);
-          u.e[s] = std::max(u.e[s], u.e[from]);
+          if (p.one_clock(xpu[at(link.xnode)], xpu[at(i)])) u.e[s] = std::max(u.e[s], u.e[from]);
         }
       }
     }

@@ -6,7 +6,7 @@
 //               J + offset - phase of the sources heard (roots)
 //               hold
 //               D - N T            (entries of a module; D: largest d in it, N activations before)
-//   e = max of  hold, e_u          over predecessors u: no execution starts before it
+//   e = max of  hold, e_u          over predecessors u on this host: no execution starts before it
 #pragma once
 
 #include <vector>

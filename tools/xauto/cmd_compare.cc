@@ -95,6 +95,9 @@ std::vector<std::pair<std::string, std::string>> fastest_types(const AppSpec& ap
 }
 
 Result<Policy> solved(const CompareFlags& flags, const std::string& id) {
+  if (!flags.spec.hosts.empty())
+    return fail(ErrorCode::kInvalid, "it has several hosts, and others' policies know one computer",
+                "platform '" + flags.spec.name + "'", "compare on the platform of one host");
   if (id == "fixed") return fixed_priorities(flags.app, flags.spec, flags.time_limit_s);
   if (id == "heft") {
     solver::SolveOptions plan;

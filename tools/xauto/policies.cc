@@ -14,6 +14,7 @@
 #include "model/claims.h"
 #include "model/components.h"
 #include "model/contention.h"
+#include "model/hosts.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "model/together.h"
@@ -32,8 +33,9 @@ namespace {
 
 namespace keys = solver::keys;
 
-constexpr std::size_t kProofColumns = 28;  ///< before what shows that jobs end by their keys
-constexpr std::size_t kMostPrices = 12;    ///< of modules in one line
+constexpr std::size_t kProofColumns =
+    20;  ///< behind the XPU, before what shows that jobs end by their keys
+constexpr std::size_t kMostPrices = 12;  ///< of modules in one line
 /// Where nothing is certified, so much of the time limit more: for the best policy, and for what would help.
 constexpr double kForUncertified = 0.4, kForRemedies = 0.2;
 /// Of the time limit more, for the policy of the app alone where none is found beside others; and for the lower bounds
@@ -87,8 +89,18 @@ std::string name_of_all(const Beside& beside) {
   return text;
 }
 
-std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
-  std::string out = fmt::format("  {:<8}{:>7}{:>9}  {}\n", "XPU", "XNodes", "load",
+/// Of a column of XPUs' names, with a blank.
+std::size_t xpu_columns(const Platform& platform) {
+  constexpr std::size_t kLeast = 8, kMost = 20;
+  std::size_t longest = kLeast - 1;
+  for (const Xpu& xpu : platform.xpus) longest = std::max(longest, xpu.id.size());
+  return std::min(longest + 1, kMost);
+}
+
+std::string proof_table(const Platform& platform, const Policy& policy,
+                        const keys::CheckReport& report) {
+  const std::size_t name = xpu_columns(platform), before = name + kProofColumns;
+  std::string out = fmt::format("  {:<{}}{:>7}{:>9}  {}\n", "XPU", name, "XNodes", "load",
                                 "why every job ends by its key");
   for (std::size_t x = 0; x < report.xpus.size(); ++x) {
     const keys::XpuProof& proof = report.xpus[x];
@@ -100,11 +112,11 @@ std::string proof_table(const Policy& policy, const keys::CheckReport& report) {
                                            : fmt::format("{} of {} jobs in {}", proof.kind,
                                                          proof.jobs, ms_of(proof.repeats_us));
     if (count > 0 && !proof.kind.empty() && !proof.xnode.empty())
-      why += fmt::format(";\n{:{}}tightest {} {}: {} free of {}", "", kProofColumns, proof.xnode,
+      why += fmt::format(";\n{:{}}tightest {} {}: {} free of {}", "", before, proof.xnode,
                          proof.activation, ms_of(proof.slack_us), ms_of(proof.length_us));
-    out += wrapped(row_of(proof.xpu, 8) +
+    out += wrapped(row_of(proof.xpu, name) +
                        fmt::format("{:>7}{:>7.1f} %  ", count, 100 * proof.load) + why,
-                   kProofColumns) +
+                   before) +
            "\n";
   }
   return out;
@@ -487,6 +499,34 @@ Result<std::vector<keys::WhatIf>> ask_assumed(const AppSpec& app, const Platform
   return ifs;
 }
 
+/// A line per way between hosts, and what was not stated of it.
+std::string crossings_text(const AppSpec& app, const Platform& platform, const Policy& policy) {
+  if (platform.hosts.empty()) return "";
+  const std::vector<int> host = hosts_of(app, platform, policy);
+  std::string out;
+  std::size_t silent = 0;
+  for (const HostLink& link : platform.links) {
+    std::vector<std::string_view> from;
+    std::int64_t x_us = 0;
+    for (const Crossing& c : policy.crossings) {
+      if (host[at(c.from)] != link.from || c.host != link.to) continue;
+      from.push_back(app.xnodes[at(c.from)].name);
+      x_us = c.x_us;
+      if (link.mbit_s > 0 && app.xnodes[at(c.from)].message_bytes == 0) ++silent;
+    }
+    if (!from.empty())
+      out += wrapped(fmt::format("  {} to {}: X {}, of {}", platform.hosts[at(link.from)].name,
+                                 platform.hosts[at(link.to)].name, ms(x_us), fmt::join(from, ", ")),
+                     6) +
+             "\n";
+  }
+  if (out.empty()) return "\n  between hosts: nothing crosses\n";
+  if (silent > 0)
+    out += fmt::format("  {} of these state no message_bytes, and count with the link's base_us\n",
+                       silent);
+  return "\n  between hosts, a message is there at most X after its sender's key:\n" + out;
+}
+
 /// The policies of several apps, in the order of --out.
 void write_policies(const Apps& apps, const Platform& platform, const Policy& policy,
                     const std::vector<std::string>& paths, Outputs& outputs, bool tell) {
@@ -710,6 +750,10 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
                          const std::vector<std::string>& assume, const SolveOut& out,
                          const Options& options) {
   const AppSpec& app = apps.all;
+  if (!platform.hosts.empty() && (asked.method != "auto" || !assume.empty()))
+    return fail(ErrorCode::kInvalid, "platform '" + platform.name + "' has several hosts",
+                asked.method != "auto" ? "--method " + asked.method : "--assume",
+                "leave it out: it knows one computer");
   if (asked.method == "heft" || asked.method == "local")
     return solve_baseline(app, platform, asked, out.policies.empty() ? "" : out.policies.front(),
                           options);
@@ -725,6 +769,14 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
   keys::Answer& answer = *solved;
   if (answer.outcome != keys::Outcome::kPolicy && !asked.beside.nobody())
     return does_not_fit(app, platform, asked, answer);
+  if (answer.outcome != keys::Outcome::kPolicy && !platform.hosts.empty())
+    return fail(ErrorCode::kInfeasible,
+                answer.outcome == keys::Outcome::kUnsustainable
+                    ? "no policy keeps up: " + answer.overload.text
+                    : "neither a policy that keeps up was found in this time, nor a proof that "
+                      "there is none",
+                app.name + " on " + platform.name,
+                "give it more time (--time-limit), pin modules to hosts, or give it less work");
   if (answer.outcome != keys::Outcome::kPolicy)
     return solve_uncertified(apps, platform, answer, asked, assume, out.policies, outputs, options);
   claim_bounds_alone(apps, platform, asked, answer.policy);
@@ -761,13 +813,14 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
                              asked.stop != nullptr && asked.stop->load()
                                  ? " (interrupted: best so far)"
                                  : "")
-              << proof_table(answer.policy, *checked) << "\n"
+              << proof_table(platform, answer.policy, *checked) << "\n"
               << chain_table(app, answer.policy) << of_all_chains(app, answer, asked.aim)
               << fmt::format(
                      "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
                      "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
                      scope(apps, !asked.beside.demands.empty()))
+              << crossings_text(app, platform, answer.policy)
               << (asked.beside.nobody() ? "" : "  Proven " + name_of_all(asked.beside) + ".\n")
               << counted_loads(app, platform, answer.policy)
               << not_measured(app, platform, answer.policy, *checked) << urgency(app);
@@ -800,12 +853,7 @@ class WholePaths {
       for (const int source : app.xnodes[i].sources)
         of_source_[at(source)].push_back(static_cast<int>(i));
     }
-    const auto type = [&](int i) { return platform.xpus[at(policy.placements[at(i)].xpu)].type; };
-    std::vector<std::int64_t> transfer_us(app.edges.size(), 0);
-    for (const TransferSpec& t : app.transfers) {
-      const auto [u, v] = app.edges[at(t.edge)];
-      if (t.from_type == type(u) && t.to_type == type(v)) transfer_us[at(t.edge)] += t.transfer_us;
-    }
+    const std::vector<std::int64_t> transfer_us = transfers_us(policy, app, platform);
     for (std::size_t e = 0; e < app.edges.size(); ++e) {
       const auto [u, v] = app.edges[e];
       const auto& keys = policy.placements[at(u)].key_us;
@@ -902,7 +950,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
     root["moves_untried"] = moved.untried;
     std::cout << root.dump(2) << "\n";
   } else {
-    std::cout << proof_table(policy, report) << "\n";
+    std::cout << proof_table(platform, policy, report) << "\n";
     for (std::size_t c = 0; c < report.chains.size(); ++c)
       std::cout << wrapped(fmt::format("  {}: {}, along {}", report.chains[c].name,
                                        ms(report.chains[c].derived_us), fmt::join(names(c), " > ")),
@@ -1052,8 +1100,9 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
   }
   for (const std::string& lie : lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
   if (!report.windows.empty())
-    std::cout << (lies.empty() ? "" : "\n") << proof_table(policy, report);
+    std::cout << (lies.empty() ? "" : "\n") << proof_table(platform, policy, report);
   show_chains(report, ways);
+  std::cout << crossings_text(app, platform, policy);
   for (const std::string& wish : broken) std::cout << wrapped("  MISSED " + wish, 9) << "\n";
   if (lies.empty()) std::cout << counted_loads(app, platform, policy);
   for (const std::string& taken : report.taken)
@@ -1078,8 +1127,9 @@ std::string worst_of(const std::optional<std::int64_t>& claimed_us) {
 /// A row of the table and an element of `xnodes`.
 std::string tell_played(const AppSpec& app, const Platform& platform, const Policy& policy,
                         const keys::PlayReport& played, Json& xnodes) {
+  const std::size_t name = xpu_columns(platform);
   std::string table =
-      row_of("XNode", 24) + left("XPU", 8) +
+      row_of("XNode", 24) + left("XPU", name) +
       fmt::format("{:>9}{:>8}{:>11}{:>18}\n", "jobs", "late", "suspended", "nearest its key");
   for (std::size_t i = 0; i < played.xnodes.size(); ++i) {
     const keys::PlayedXNode& node = played.xnodes[i];
@@ -1091,7 +1141,7 @@ std::string tell_played(const AppSpec& app, const Platform& platform, const Poli
                       {"late", node.late},
                       {"suspended", node.suspended},
                       {"closest_us", near ? Json(node.closest_us) : Json()}});
-    table += row_of(app.xnodes[i].name, 24) + left(xpu, 8) +
+    table += row_of(app.xnodes[i].name, 24) + left(xpu, name) +
              fmt::format("{:>9}{:>8}{:>11}{:>18}\n", node.jobs, node.late, node.suspended,
                          near ? ms_of(node.closest_us) : "-");
   }
