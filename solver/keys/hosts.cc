@@ -328,13 +328,6 @@ class Spreading {
     answer.policy.app = app_.name;
     answer.policy.app_hash = app_.hash();
     answer.policy.platform = platform_.name;
-    for (std::size_t i = 0; i < app_.xnodes.size(); ++i) {
-      Placement& placed = answer.policy.placements[i];
-      const std::string& type = platform_.xpus[at(placed.xpu)].type;
-      if (const std::int64_t longest = longest_wcet(app_.xnodes[i], type);
-          longest > app_.xnodes[i].wcet_on(type).value_or(longest))
-        placed.wcet_us = longest;
-    }
     answer.policy.solve_us = std::chrono::duration_cast<std::chrono::microseconds>(
                                  std::chrono::steady_clock::now() - began_)
                                  .count();

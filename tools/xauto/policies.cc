@@ -746,14 +746,35 @@ Json json_of(const Apps& apps, const Platform& platform, const Policy& policy) {
 
 }  // namespace
 
+namespace {
+
+/// What knows one computer is not asked of several.
+Status known_on_hosts(const Platform& platform, const keys::Options& asked,
+                      const std::vector<std::string>& assume) {
+  if (platform.hosts.empty() || (asked.method == "auto" && assume.empty())) return {};
+  return fail(ErrorCode::kInvalid, "platform '" + platform.name + "' has several hosts",
+              asked.method != "auto" ? "--method " + asked.method : "--assume",
+              "leave it out: it knows one computer");
+}
+
+tl::unexpected<Error> none_on_hosts(const AppSpec& app, const Platform& platform,
+                                    const keys::Answer& answer) {
+  return fail(ErrorCode::kInfeasible,
+              answer.outcome == keys::Outcome::kUnsustainable
+                  ? "no policy keeps up: " + answer.overload.text
+                  : "neither a policy that keeps up was found in this time, nor a proof that "
+                    "there is none",
+              app.name + " on " + platform.name,
+              "give it more time (--time-limit), pin modules to hosts, or give it less work");
+}
+
+}  // namespace
+
 Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys::Options& asked,
                          const std::vector<std::string>& assume, const SolveOut& out,
                          const Options& options) {
   const AppSpec& app = apps.all;
-  if (!platform.hosts.empty() && (asked.method != "auto" || !assume.empty()))
-    return fail(ErrorCode::kInvalid, "platform '" + platform.name + "' has several hosts",
-                asked.method != "auto" ? "--method " + asked.method : "--assume",
-                "leave it out: it knows one computer");
+  XAUTO_TRY(known_on_hosts(platform, asked, assume));
   if (asked.method == "heft" || asked.method == "local")
     return solve_baseline(app, platform, asked, out.policies.empty() ? "" : out.policies.front(),
                           options);
@@ -770,13 +791,7 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
   if (answer.outcome != keys::Outcome::kPolicy && !asked.beside.nobody())
     return does_not_fit(app, platform, asked, answer);
   if (answer.outcome != keys::Outcome::kPolicy && !platform.hosts.empty())
-    return fail(ErrorCode::kInfeasible,
-                answer.outcome == keys::Outcome::kUnsustainable
-                    ? "no policy keeps up: " + answer.overload.text
-                    : "neither a policy that keeps up was found in this time, nor a proof that "
-                      "there is none",
-                app.name + " on " + platform.name,
-                "give it more time (--time-limit), pin modules to hosts, or give it less work");
+    return none_on_hosts(app, platform, answer);
   if (answer.outcome != keys::Outcome::kPolicy)
     return solve_uncertified(apps, platform, answer, asked, assume, out.policies, outputs, options);
   claim_bounds_alone(apps, platform, asked, answer.policy);
