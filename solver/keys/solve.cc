@@ -8,6 +8,7 @@
 
 #include "base/mutex.h"
 #include "model/contention.h"
+#include "model/hosts.h"
 #include "solver/keys/chains.h"
 #include "solver/keys/contention.h"
 #include "solver/keys/exhibit.h"
@@ -556,6 +557,7 @@ Totals totals_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) 
 }
 
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
+  XAUTO_TRY(validate_pins(app, platform));
   if (!platform.hosts.empty() && !options.spread) return solve_on_hosts(app, platform, options);
   const TimePoint began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(Problem p, Problem::create(app, platform, options.wishes, {}, options.beside));
