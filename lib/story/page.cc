@@ -23,20 +23,25 @@ constexpr std::size_t kShownChanges = 100;
 
 /// Line by line; what begins with a dash is an item.
 std::string verdict_html(const std::string& verdict) {
-  std::string html = "<p>", line;
+  std::string html, line;
   std::istringstream lines(verdict);
-  bool listed = false;
+  std::string_view open;  // "p", "ul", or neither
+  const auto close = [&] {
+    if (!open.empty()) html += fmt::format("</{}>", open);
+  };
   while (std::getline(lines, line)) {
     line.erase(0, line.find_first_not_of(' '));
-    if (!line.starts_with("- ")) {
-      html += (listed ? "</ul>" : html == "<p>" ? "" : "<br>") + html_safe(line);
-      listed = false;
-      continue;
+    const std::string_view tag = line.starts_with("- ") ? "ul" : "p";
+    if (open != tag) {
+      close();
+      html += fmt::format("<{}>", open = tag);
+    } else if (tag == "p") {
+      html += "<br>";
     }
-    html += (listed ? "<li>" : "<ul><li>") + html_safe(line.substr(2)) + "</li>";
-    listed = true;
+    html += tag == "ul" ? "<li>" + html_safe(line.substr(2)) + "</li>" : html_safe(line);
   }
-  return html + (listed ? "</ul>" : "</p>");
+  close();
+  return html;
 }
 
 double seconds_of(const ReadTrace& trace) {
