@@ -79,12 +79,7 @@ class AmaltheaImporter {
     find_chains();
     if (!chosen_samples_) find_samples();
     complete_chains(app());
-    Status valid = validate(app());
-    if (!valid) {
-      Error error = valid.error();
-      error.what = "the model is no app: " + error.what;
-      return tl::unexpected<Error>(std::move(error));
-    }
+    XAUTO_TRY(is_app(app(), "the model"));
     ask();
     tell();
     return std::move(out_);

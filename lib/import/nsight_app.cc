@@ -79,13 +79,7 @@ class NsightImporter {
     complete_modules(app());
     measure();
     complete_chains(app());
-    Status valid = validate(app());
-    if (!valid) {
-      Error error = valid.error();
-      error.where = options_.from;
-      error.what = "what was recorded is no app: " + error.what;
-      return tl::unexpected<Error>(std::move(error));
-    }
+    XAUTO_TRY(is_app(app(), "what was recorded", options_.from));
     ask();
     tell();
     return std::move(out_);

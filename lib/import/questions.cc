@@ -25,6 +25,15 @@ std::string bare(const std::string& name) {
   return plain.empty() || !fault_of_name(plain).empty() ? "unnamed" : plain;
 }
 
+Status is_app(const AppSpec& app, const char* made, const std::string& where) {
+  Status valid = validate(app);
+  if (valid) return valid;
+  Error error = valid.error();
+  if (!where.empty()) error.where = where;
+  error.what = std::string(made) + " is no app: " + error.what;
+  return tl::unexpected<Error>(std::move(error));
+}
+
 std::int64_t up_to_us(std::int64_t ns) {
   return (ns + 999) / 1000;
 }

@@ -22,6 +22,9 @@ inline constexpr std::size_t kMostAsked = 8;  ///< questions of one kind
 /// `us` and `margin_pct` percent more, as a WCET may be.
 [[nodiscard]] std::int64_t with_margin(std::int64_t us, std::int64_t margin_pct);
 
+/// That what an importer has made is an app. The error begins with `made`, and is at `where`, if that is said.
+[[nodiscard]] Status is_app(const AppSpec& app, const char* made, const std::string& where = {});
+
 /// At most kMaxTodo. `at`: as Todo::at.
 void todo(ImportedApp& imported, std::string at, const std::string& what);
 /// Each chain's deadline, or that of all.

@@ -54,13 +54,7 @@ class Importer {
     find_executors();
     measure();
     find_chains();
-    Status valid = validate(app());
-    if (!valid) {
-      Error error = valid.error();
-      error.where = options_.from;
-      error.what = "what was traced is no app: " + error.what;
-      return tl::unexpected<Error>(std::move(error));
-    }
+    XAUTO_TRY(is_app(app(), "what was traced", options_.from));
     see_chains();
     ask();
     tell();

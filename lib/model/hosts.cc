@@ -14,11 +14,6 @@ namespace {
 
 constexpr std::int64_t kBitsPerByte = 8;
 
-/// A megabit a second is a bit a microsecond.
-std::int64_t on_link_us(std::int64_t bytes, const HostLink& link) {
-  return link.mbit_s == 0 ? 0 : (bytes * kBitsPerByte + link.mbit_s - 1) / link.mbit_s;
-}
-
 Status one_host_per_module(const AppSpec& app, const Platform& platform,
                            const std::vector<int>& host_of) {
   std::map<std::string_view, std::size_t> first;
@@ -47,6 +42,10 @@ Status one_host_per_module(const AppSpec& app, const Platform& platform,
 }
 
 }  // namespace
+
+std::int64_t on_link_us(std::int64_t bytes, const HostLink& link) {
+  return link.mbit_s == 0 ? 0 : (bytes * kBitsPerByte + link.mbit_s - 1) / link.mbit_s;
+}
 
 Status validate_pins(const AppSpec& app, const Platform& platform) {
   for (std::size_t m = 0; m < app.modules.size(); ++m)

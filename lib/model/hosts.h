@@ -17,6 +17,9 @@ namespace xauto {
 [[nodiscard]] std::vector<int> hosts_of(const AppSpec& app, const Platform& platform,
                                         const Policy& policy);
 
+/// For how long a message of so many bytes has the link, without base_us. A megabit a second is a bit a microsecond.
+[[nodiscard]] std::int64_t on_link_us(std::int64_t bytes, const HostLink& link);
+
 /// What crosses: of each XNode one message to each other host on which somebody hears or samples it. Each of a link takes
 ///   X = base_us + sum over all that cross the link of ceil(8 message_bytes / mbit_s)
 /// since in the worst case it waits for all others, each once (docs/keys.md, "Hosts").

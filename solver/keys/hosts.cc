@@ -20,7 +20,6 @@ constexpr double kForAnywhere = 0.25;   ///< all modules anywhere
 constexpr double kForEachHosts = 0.03;  ///< to try hosts of modules
 constexpr double kForHosts = 0.6;       ///< until then, with the part before
 constexpr double kLeastTryS = 0.1;
-constexpr std::int64_t kBitsPerByte = 8;
 
 /// [module] index into Platform::hosts, -1: any.
 using Hosts = std::vector<int>;
@@ -137,8 +136,7 @@ class Expanding {
   [[nodiscard]] std::int64_t alone(int u, int from, int to) const {
     const HostLink* const link = platform_.link(from, to);
     if (link == nullptr) return 0;
-    const std::int64_t bits = app_.xnodes[at(u)].message_bytes * kBitsPerByte;
-    return link->base_us + (link->mbit_s == 0 ? 0 : (bits + link->mbit_s - 1) / link->mbit_s);
+    return link->base_us + on_link_us(app_.xnodes[at(u)].message_bytes, *link);
   }
 
   void transfers(std::size_t e, const Hosts& hosts, const std::vector<Crossing>* crossings,
