@@ -290,7 +290,8 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
   const int leaves = leaves_by(p, chain, path.samples, 0);
   const Component& c = p.components[at(p.component_of[at(leaves)])];
   Way way{p, chain, path.samples, {p, w.d}, {p, w.e}, urgent ? p.urgent_by(leaves) : 0, {}, 0, {}};
-  if (std::ranges::any_of(p.domains, [](const Domain& d) { return d.ppm > 0 && d.part; }))
+  if (!path.samples.empty() &&
+      std::ranges::any_of(p.domains, [](const Domain& d) { return d.ppm > 0 && d.part; }))
     way.latest = *std::max_element(w.e.begin(), w.e.end());
   way.crossings.resize(path.samples.size());
   for (const int s : path.samples) {

@@ -78,17 +78,16 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   // A part of a deadline is near 1 by itself.
   if (reference_largest_ <= 0 || p_.deadlines) reference_largest_ = 1;
   for (const Chain& chain : p_.chains) {
-    std::vector<char> in(at(p_.num_xnodes), 0);
+    std::vector<int>& on_it = chain_xnodes_.emplace_back();
     const auto add = [&](int to) {
-      for (int i = 0; i < p_.num_xnodes; ++i)
-        if (i == to || p_.before(i, to)) in[at(i)] = 1;
+      for (const int i : p_.components[at(p_.component_of[at(to)])].xnodes)
+        if (i == to || p_.before(i, to)) on_it.push_back(i);
     };
     for (const Path& path : chain.paths)
       for (const int s : path.samples) add(p_.samples[at(s)].first);
     add(chain.to);
-    chain_xnodes_.emplace_back();
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      if (in[at(i)] != 0) chain_xnodes_.back().push_back(i);
+    std::sort(on_it.begin(), on_it.end());
+    on_it.erase(std::unique(on_it.begin(), on_it.end()), on_it.end());
   }
   rigid_.assign(at(p_.num_xnodes), 0);
   for (int i = 0; i < p_.num_xnodes; ++i)

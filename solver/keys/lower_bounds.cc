@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <map>
 #include <numeric>
+#include <set>
 
 #include "solver/keys/joint_bound.h"
 #include "solver/keys/load_bound.h"
@@ -124,9 +125,11 @@ Tick behind_first(const Problem& p, const std::vector<Tick>& least, const LoadWa
 std::vector<Tail> tails_of(const Problem& p, const std::vector<Tick>& least,
                            const std::vector<LoadWay>& ways) {
   std::vector<Tick> tail(at(p.num_xnodes), kNoTick), longest = tail;
+  std::set<int> met;
   for (const LoadWay& way : ways) {
     const int to = way.pieces.front().to;
     const std::vector<int>& all = p.components[at(p.component_of[at(to)])].xnodes;
+    met.insert(all.begin(), all.end());
     for (const int i : all) tail[at(i)] = kNoTick;
     tail[at(to)] = behind_first(p, least, way);
     for (auto i = all.rbegin(); i != all.rend(); ++i) {
@@ -137,7 +140,7 @@ std::vector<Tail> tails_of(const Problem& p, const std::vector<Tick>& least,
     }
   }
   std::vector<Tail> tails;
-  for (int i = 0; i < p.num_xnodes; ++i)
+  for (const int i : met)
     if (longest[at(i)] != kNoTick) tails.push_back({i, longest[at(i)]});
   return tails;
 }

@@ -538,6 +538,9 @@ struct Builder {
         return fail(ErrorCode::kInvalid, "an XNode that is not there", "samples");
       p.reads[at(v)] = 1;
     }
+    std::vector<std::vector<int>> heard_by(app.sources.size());  // per source: its XNodes
+    for (int i = 0; i < p.num_xnodes; ++i)
+      for (const int source : app.xnodes[at(i)].sources) heard_by[at(source)].push_back(i);
     std::size_t left = kMostPaths + app.chains.size();  // each has one that is direct
     for (const ChainSpec& spec : app.chains) {
       Chain chain;
@@ -553,9 +556,7 @@ struct Builder {
       if (spec.deadline_us)
         XAUTO_TRY(ticks(*spec.deadline_us, "deadline_us of '" + spec.name + "'", chain.deadline));
       std::int64_t steps = 0;
-      for (int i = 0; i < p.num_xnodes; ++i) {
-        const auto& heard = app.xnodes[at(i)].sources;
-        if (std::find(heard.begin(), heard.end(), spec.from) == heard.end()) continue;
+      for (const int i : heard_by[at(spec.from)]) {
         std::vector<int> way;
         std::vector<char> seen(p.components.size(), 0);
         seen[at(p.component_of[at(i)])] = 1;
