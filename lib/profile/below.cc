@@ -6,6 +6,7 @@
 #include <thread>
 #include <utility>
 
+#include "base/rt.h"
 #include "base/thread.h"
 
 namespace xauto::runtime {
@@ -23,8 +24,11 @@ class Thread final : public Below {
     if (thread_.joinable()) thread_.join();
   }
 
-  [[nodiscard]] Status start() {
-    XAUTO_ASSIGN(thread_, start_thread([this] { serve(); }));
+  [[nodiscard]] Status start(const std::vector<int>& cores) {
+    XAUTO_ASSIGN(thread_, start_thread([this, cores] {
+                   const Status pinned = rt::pin_to_cores(cores);
+                   serve(pinned);
+                 }));
     return {};
   }
 
@@ -32,7 +36,6 @@ class Thread final : public Below {
     std::unique_lock lock(mutex_);
     job_ = std::move(job);
     wanted_ = true;
-    status_ = {};
     changed_.notify_all();
     changed_.wait(lock, [&] { return calling_; });
   }
@@ -46,12 +49,14 @@ class Thread final : public Below {
   }
 
  private:
-  void serve() {
+  /// `ready`: whether it can run jobs at all.
+  void serve(const Status& ready) {
     std::unique_lock lock(mutex_);
     for (;;) {
       changed_.wait(lock, [&] { return quit_ || wanted_; });
       if (quit_) return;
       calling_ = true;
+      status_ = ready;
       changed_.notify_all();
       while (wanted_ && status_) {
         lock.unlock();
@@ -75,9 +80,9 @@ class Thread final : public Below {
 
 }  // namespace
 
-Result<std::unique_ptr<Below>> Below::start() {
+Result<std::unique_ptr<Below>> Below::start(const std::vector<int>& cores) {
   auto made = std::make_unique<Thread>();
-  XAUTO_TRY(made->start());
+  XAUTO_TRY(made->start(cores));
   return std::unique_ptr<Below>(std::move(made));
 }
 

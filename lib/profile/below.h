@@ -5,6 +5,7 @@
 
 #include <functional>
 #include <memory>
+#include <vector>
 
 #include <xauto/result.h>
 
@@ -13,7 +14,8 @@ namespace xauto::runtime {
 /// A thread that repeats a job. Threads: begin() and end() from one.
 class Below {
  public:
-  [[nodiscard]] static Result<std::unique_ptr<Below>> start();
+  /// On these cores: where the job above runs, its thread would wait for a core and not for the XPU.
+  [[nodiscard]] static Result<std::unique_ptr<Below>> start(const std::vector<int>& cores);
   virtual ~Below() = default;
   /// Returns when `job` is about to be called for the first time; it is called again and again until end().
   virtual void begin(std::function<Status()> job) = 0;

@@ -14,6 +14,7 @@
 
 #include <gtest/gtest.h>
 
+#include "base/rt.h"
 #include "model/json.h"
 
 #include "../engine/fates.h"
@@ -54,6 +55,7 @@ TEST(Profiler, OnLevelsEachXNodeIsTimedBesideLessUrgentOnes) {
   std::map<std::string, std::thread::id> inside;  // on npu0 -> by which thread
   std::map<std::thread::id, int> level;
   std::set<std::pair<std::string, std::string>> met;  // (above, below)
+  std::map<std::thread::id, std::set<int>> cores;
   app.handle = [&] {
     EXPECT_EQ(levels({"npu0", XPU("npu"), 0}), 3);
     return SchedHandle::on_levels([&](int on) -> Status {
@@ -70,6 +72,7 @@ TEST(Profiler, OnLevelsEachXNodeIsTimedBesideLessUrgentOnes) {
     const auto me = std::this_thread::get_id();
     {
       const std::lock_guard lock(mutex);
+      for (const int core : rt::allowed_cores()) cores[me].insert(core);
       look(node, me);
       inside[node] = me;
     }
@@ -92,6 +95,12 @@ TEST(Profiler, OnLevelsEachXNodeIsTimedBesideLessUrgentOnes) {
     ASSERT_TRUE(x.beside.contains("npu")) << x.name;
     EXPECT_EQ(x.beside.at("npu").at("npu0").count, 9) << x.name;
     EXPECT_FALSE(x.beside.at("npu").contains("cpu0")) << x.name << ": a core has no levels";
+  }
+  // Both wait for the XPU by looking: on one core they would wait for each other.
+  ASSERT_EQ(cores.size(), 2u);
+  if (rt::allowed_cores().size() > 1) {
+    for (const int core : cores.begin()->second)
+      EXPECT_FALSE(cores.rbegin()->second.contains(core)) << core;
   }
   EXPECT_EQ(read->conditions.beside.at("npu"), "XNodes of other modules, on the lowest level");
   // In the pass in which all are on npu0: each above each of another module.
