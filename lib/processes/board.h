@@ -19,6 +19,7 @@
 #include "base/context_counts.h"
 #include "base/counter.h"
 #include "base/unique_fd.h"
+#include "processes/jobs_above.h"
 #include "transport/doorbell.h"
 #include "transport/shm_topic.h"
 
@@ -264,7 +265,8 @@ struct alignas(64) XpuLine {
   std::int64_t preempt_us = -1;
   /// How they took longer than that; empty: they did not.
   [[nodiscard]] std::string slow_suspensions() const;
-  /// For how long jobs that ended had it, less what they were suspended for. On a real CPU, which the
+  JobsAbove above;  ///< where it preempts by levels
+  /// For how long jobs that ended had it, less what they were suspended for, or below others. On a real CPU, which the
   /// kernel takes away unseen, the CPU time of the threads that run jobs, told when they sleep.
   std::atomic<std::int64_t> busy_ns{};
   /// On a real core: jobs that kept to their WCETs, and would not have with what others than this run's jobs took of

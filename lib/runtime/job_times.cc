@@ -31,12 +31,26 @@ void JobTimes::begin(const Placed& placed, std::uint64_t sequence) {
     if (placed.limits.wcet_ns > 0 || placed.watched || without_core_since_ns_.load() < 0)
       cpu_since_ns_.store(clock_ns(cpu_clock_));
   }
-  watch_.begin(now_ns(), sequence);
+  const std::int64_t now = now_ns();
+  if (by_levels()) {
+    const int level = on_.port->level();
+    level_.store(level, std::memory_order_relaxed);
+    above_ = level > 0 ? on_.counts->above.begin(level, now, placed.limits.wcet_ns) : 0;
+  }
+  watch_.begin(now, sequence);
+}
+
+bool JobTimes::by_levels() const {
+  return holds() && on_.port != nullptr && on_.port->discipline() == Discipline::kLevels;
 }
 
 /// Of the `ran_ns` of its job until `now_ns`: without what it was on the XPU beside the one from whom it got
-/// it, which is the cost of a preemption; no more than the platform says that one costs.
+/// it, which is the cost of a preemption; no more than the platform says that one costs. By levels, without what
+/// jobs above it had.
 std::int64_t JobTimes::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
+  if (by_levels())
+    return ran_ns -
+           on_.counts->above.ns(level_.load(std::memory_order_relaxed), now_ns - ran_ns, now_ns);
   if (on_.port == nullptr || on_.preempt_ns == 0) return ran_ns;
   const std::int64_t beside_ns = on_.port->beside_ns(watch_.since_ns(), now_ns);
   return std::max<std::int64_t>(0, ran_ns - std::min(beside_ns, on_.preempt_ns));
@@ -73,7 +87,10 @@ std::int64_t JobTimes::end(const Placed& placed) {
   const std::int64_t now = now_ns();
   const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
-  if (holds()) on_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
+  if (above_ != 0) on_.counts->above.end(std::exchange(above_, 0), now);
+  if (holds())
+    on_.counts->busy_ns.fetch_add(by_levels() ? own_ns(wall_ns, now) : wall_ns,
+                                  std::memory_order_relaxed);
   if (on_.shared) on_.port->tell_had(watch_.since_ns(), now, wall_ns);
   if (!placed.limited) return without.core_ns;
   const std::int64_t took_ns =

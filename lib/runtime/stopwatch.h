@@ -3,7 +3,8 @@
 //
 // The time of a job runs from the moment when it may run until its exec returns, less the time for
 // which it was suspended for others, or was being, and less the time until the one from whom it got the
-// XPU was suspended, up to the platform's preempt_us: that is the preemption's. On a real CPU, where the
+// XPU was suspended, up to the platform's preempt_us: that is the preemption's. Where the hardware preempts by
+// levels, less what jobs above it had (processes/jobs_above.h). On a real CPU, where the
 // kernel takes the XPU away unseen, budgets count the thread's CPU time; hangs always count wall time,
 // since whoever waits for a lock uses none.
 #pragma once
