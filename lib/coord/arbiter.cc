@@ -82,11 +82,11 @@ void Arbiter::start(int slot, const Job& job, std::vector<Action>& out) {
   decide(out);
 }
 
-void Arbiter::adopt(int slot, const Job& job, std::vector<Action>& out) {
+void Arbiter::adopt(int slot, const Job& job, std::vector<Action>& out, int level) {
   Slot& s = at(slot);
   XAUTO_CHECK(s.phase != Phase::kAdmitted);
   s.phase = Phase::kAdmitted;
-  s.level = 0;
+  s.level = level;
   s.job = job;
   decide(out);
 }

@@ -71,9 +71,8 @@ class Arbiter {
   // `out`. Precondition violations are our own bugs and end the process (what it suspended is
   // resumed).
   void start(int slot, const Job& job, std::vector<Action>& out);
-  /// A job that started on the uncontended fast path before the coordinator was involved: on the
-  /// lowest level.
-  void adopt(int slot, const Job& job, std::vector<Action>& out);
+  /// A job that started before the coordinator was involved, on this level.
+  void adopt(int slot, const Job& job, std::vector<Action>& out, int level = 0);
   void finish(int slot, std::vector<Action>& out);
   /// Another job took the XPU from this slot and had its queue be suspended, or gave it back and
   /// had it be resumed. Decides nothing.

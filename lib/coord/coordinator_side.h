@@ -170,7 +170,7 @@ class Referee {
     const std::uint64_t owner = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
     arbiter_.begin_batch();
-    const Taking taking = complete_taking(owner);
+    const std::vector<Taking> takings = complete_taking(owner);
     for (int i = 0; i < high(); ++i) {
       SlotInfo& info = slots_[static_cast<std::size_t>(i)];
       const SlotMemory& memory = shm_.slots[i];
@@ -187,12 +187,14 @@ class Referee {
       const std::uint32_t generation = request_generation(info.request);
       if (want == Want::kRun) {
         const bool owns = owner_slot(owner) == i && owner_generation(owner) == generation;
-        const bool owned = taking.victim == i && taking.generation == generation;
+        const bool owned = std::any_of(takings.begin(), takings.end(), [&](const Taking& taking) {
+          return taking.victim == i && taking.generation == generation;
+        });
         const bool granted = A::load(memory.coordinator.grant) == generation;
         slot.phase = owns || owned || granted ? Phase::kAdmitted : Phase::kWaiting;
-        if (granted) slot.level = level_of(A::peek(memory.coordinator.level), generation);
+        if (slot.phase == Phase::kAdmitted) slot.level = started_on(memory, generation);
         // Whoever handed the XPU over to it may have died before it said so.
-        if (owns || owned) give<A>(shm_.slots[i].coordinator.grant, generation);
+        if ((owns || owned) && !granted) grant(i, slot.level, generation);
         if (slot.phase == Phase::kAdmitted) wakes.granted.push_back(i);
       }
       const bool suspend = (info.command & 1u) != 0;
@@ -278,17 +280,24 @@ class Referee {
   };
 
   /// The owner of this word took the XPU from somebody: its management thread is commanded now,
-  /// whether or not the taker came to it.
-  Taking complete_taking(std::uint64_t word) {
-    const int taker = owner_slot(word);
-    if ((word & kTaken) == 0 || taker < 0 || taker >= kMaxSlots) return {};
-    const WorkerLine& line = shm_.slots[taker].worker;
-    const std::uint64_t from = A::peek(line.victim);
-    const int victim = owner_slot(from);
-    if (victim < 0 || victim >= kMaxSlots || victim == taker) return {};  // a broken client
-    if (A::peek(shm_.slots[victim].coordinator.used) == 0) return {};
-    command<A>(shm_.slots[victim].coordinator.command, A::peek(line.victim_command), true);
-    return {victim, owner_generation(from)};
+  /// whether or not the taker came to it. By levels it was started above somebody, who may have been started above
+  /// the next, and nobody is commanded: the last one first.
+  std::vector<Taking> complete_taking(std::uint64_t word) {
+    std::vector<Taking> all;
+    const bool levels = arbiter_.discipline() == Discipline::kLevels;
+    while ((word & kTaken) != 0 && all.size() < kMaxSlots) {
+      const int taker = owner_slot(word);
+      if (taker < 0 || taker >= kMaxSlots) break;
+      const WorkerLine& line = shm_.slots[taker].worker;
+      const std::uint64_t from = A::peek(line.victim);
+      const int victim = owner_slot(from);
+      if (victim < 0 || victim >= kMaxSlots || victim == taker) break;  // a broken client
+      if (A::peek(shm_.slots[victim].coordinator.used) == 0) break;
+      all.insert(all.begin(), {victim, owner_generation(from)});
+      word = levels ? from : 0;
+      if (!levels) command<A>(shm_.slots[victim].coordinator.command, A::peek(line.taking), true);
+    }
+    return all;
   }
 
   /// Whoever gives the XPU back writes the owner word first and the command second. If that is
@@ -306,12 +315,12 @@ class Referee {
     if (fat_) return;
     const std::uint64_t word = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
-    if (const Taking taking = complete_taking(word); taking.victim >= 0) {
+    const std::vector<Taking> takings = complete_taking(word);
+    for (const Taking& taking : takings)
       if (is_shared(taking.victim)) hear(taking.victim, taking.generation, wakes);
-    } else if (arbiter_.discipline() == Discipline::kPreemptive) {
+    if (takings.empty() && arbiter_.discipline() == Discipline::kPreemptive)
       for (int i = 0; i < high(); ++i)
         if (is_shared(i)) claim_command(i);
-    }
     if (const int owner = owner_slot(word); owner >= 0 && owner < kMaxSlots)
       if (is_shared(owner)) hear(owner, owner_generation(word), wakes);
   }
@@ -524,11 +533,12 @@ class Referee {
     switch (request_want(request)) {
       case Want::kRun:
         if (owns == generation) {
+          const int level = started_on(shm_.slots[slot], generation);
           if (arbiter_.slot(slot).phase != Phase::kAdmitted)
-            arbiter_.adopt(slot, job, held_actions());
+            arbiter_.adopt(slot, job, held_actions(), level);
           // Whoever handed the XPU over may have died before it said so.
           if (A::load(shm_.slots[slot].coordinator.grant) != generation) {
-            give<A>(shm_.slots[slot].coordinator.grant, generation);
+            grant(slot, level, generation);
             wakes.granted.push_back(slot);
           }
         } else if (arbiter_.slot(slot).phase == Phase::kNone) {
@@ -539,6 +549,15 @@ class Referee {
       case Want::kIdle:
         break;
     }
+  }
+
+  [[nodiscard]] int started_on(const SlotMemory& memory, std::uint32_t generation) const {
+    return arbiter_.discipline() == Discipline::kLevels ? level_in<A>(memory, generation) : 0;
+  }
+  void grant(int slot, int level, std::uint32_t generation) {
+    CoordinatorLine& line = shm_.slots[slot].coordinator;
+    if (level > 0) A::store(line.level, level_word(level, generation));
+    give<A>(line.grant, generation);
   }
 
   /// True: some of it is done already.
@@ -555,9 +574,7 @@ class Referee {
         continue;
       }
       if (action.kind == Action::Kind::kGrant) {
-        if (action.level > 0)
-          A::store(line.level, level_word(action.level, request_generation(info.request)));
-        give<A>(line.grant, request_generation(info.request));
+        grant(action.slot, action.level, request_generation(info.request));
         wakes.granted.push_back(action.slot);
         continue;
       }

@@ -73,7 +73,8 @@ Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const st
   for (const auto& [u, v] : order)
     if (u >= header.num_xnodes || v >= header.num_xnodes)
       return fail(ErrorCode::kInvalid, "order names an XNode beyond the app's", where);
-  port->rules_ = {static_cast<Discipline>(header.discipline), Order(order)};
+  port->rules_ = {static_cast<Discipline>(header.discipline), Order(order),
+                  static_cast<int>(header.levels)};
   port->words_ = Words<RealAtomics>(port->shm_, &port->rules_);
   port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
   port->pending_command_ = port->shm_.slots[port->slot_].coordinator.command.load();

@@ -77,6 +77,7 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
     s.shm_.header->version = kShmVersion;
     s.shm_.header->num_xnodes = num_xnodes;
     s.shm_.header->discipline = static_cast<std::uint8_t>(s.options_.discipline);
+    s.shm_.header->levels = static_cast<std::uint32_t>(std::max(0, s.options_.levels));
     std::atomic_thread_fence(std::memory_order_release);
     s.shm_.header->magic = kShmMagic;
   } else if (s.shm_.header->version != kShmVersion || s.shm_.header->num_xnodes != num_xnodes ||

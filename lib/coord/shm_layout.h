@@ -41,12 +41,14 @@
 // writes its request, looks once more, and waits; who says that an XNode has ended looks at the
 // requests, and grants all that are eligible.
 //
-// Where the hardware preempts by levels nobody takes: a job that meets nobody, or is handed the XPU,
-// is on the lowest level, and for one that is more urgent than the owner the coordinator decides.
+// Where the hardware preempts by levels a more urgent START is started one level above the owner, and
+// nobody is suspended: `victim` is the word that it found, so that a chain of words leads down to the
+// first. A FINISH goes one down; one of a job that another was started above is the coordinator's, and
+// so is a START for whom there is no level. Who meets nobody, or is handed the XPU, is on the lowest.
 //
 // Taking is two writes, the owner word and the command, and so is giving back. Commands count, and
 // each is one CAS from the one before, so that a late second write finds its turn gone:
-//   - whoever takes says before the first write, in `victim` and `victim_command` of its own line,
+//   - whoever takes says before the first write, in `victim` and `taking` of its own line,
 //     what the second will be; the coordinator does it for a taker that has not come to it;
 //   - whoever gives back may be late as well: the coordinator repeats the command to suspend, which
 //     changes nothing but the count.
@@ -74,7 +76,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 10;
+inline constexpr std::uint32_t kShmVersion = 11;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -143,12 +145,13 @@ constexpr std::uint32_t next_command(std::uint32_t last, bool suspend) {
 }
 
 struct alignas(64) WorkerLine {
-  std::atomic<std::uint32_t> request{};         ///< [W]
-  std::atomic<std::uint32_t> ack{};             ///< [W] management thread: last command carried out
-  std::atomic<std::uint32_t> xnode{};           ///< [W] the job, written before `request`
-  std::atomic<std::uint32_t> victim_command{};  ///< [W] the victim's command before it was taken
-  std::atomic<Key> key{};                       ///< [W] what it is judged by, see rule.h
-  std::atomic<std::uint64_t> sequence{};        ///< [W]
+  std::atomic<std::uint32_t> request{};  ///< [W]
+  std::atomic<std::uint32_t> ack{};      ///< [W] management thread: last command carried out
+  std::atomic<std::uint32_t> xnode{};    ///< [W] the job, written before `request`
+  /// [W] The victim's command before it was taken; by levels (never both), on which one it started itself.
+  std::atomic<std::uint32_t> taking{};
+  std::atomic<Key> key{};                 ///< [W] what it is judged by, see rule.h
+  std::atomic<std::uint64_t> sequence{};  ///< [W]
   std::atomic<std::uint64_t> since_ns{};  ///< [W] CLOCK_MONOTONIC of the request; ties, and status
   std::atomic<std::uint64_t> victim{};    ///< [W] owner_word from which it takes, or wanted to
   /// [W] management thread: while the request has the generation `lent`, its job goes by `lent_key`
@@ -185,6 +188,7 @@ struct alignas(64) Header {
   OrderKept order = OrderKept::kUnknown;  ///< [C]
   std::uint8_t regulated = 0;             ///< 1: the page of one run, see above
   std::uint8_t pad = 0;
+  std::uint32_t levels = 0;                        ///< of kLevels: how many the hardware has
   alignas(64) std::atomic<std::uint64_t> owner{};  ///< [*]
   alignas(64) std::atomic<std::uint32_t> rings{};  ///< [*] counts rings of the doorbell
   std::atomic<std::uint32_t> waiting{};    ///< [*] 1: the coordinator sleeps, ring its eventfd

@@ -78,10 +78,20 @@ Key with_lent(const WorkerLine& line, std::uint32_t generation, Key own) {
   return A::peek(line.lent) == generation ? std::min(own, A::peek(line.lent_key)) : own;
 }
 
+/// Of the hardware, on which the job of this generation runs: as the coordinator said that let it run, or as it
+/// started itself.
+template <class A>
+int level_in(const SlotMemory& memory, std::uint32_t generation) {
+  if (A::peek(memory.coordinator.grant) == generation)
+    return level_of(A::peek(memory.coordinator.level), generation);
+  return static_cast<int>(A::peek(memory.worker.taking));
+}
+
 /// What is the same for all workers of an XPU.
 struct Rules {
   Discipline discipline = Discipline::kPreemptive;
   Order order;
+  int levels = 0;  ///< of kLevels: how many the hardware has
 };
 
 /// What the caller has to do after START.
@@ -122,6 +132,7 @@ class Words {
     A::store_relaxed(line.key, job.key);
     A::store_relaxed(line.sequence, job.sequence);
     A::store_relaxed(line.since_ns, job.since_ns);
+    A::store_relaxed(line.taking, 0u);
     bool may = eligible(job);
     const bool kernel = rules_->discipline == Discipline::kKernel;
     A::store(line.request, request_word(may && kernel ? Want::kRuns : Want::kRun, generation));
@@ -150,7 +161,16 @@ class Words {
           return {};
       } else if (urgent_enough(job, slot, other, seen)) {
         if (rules_->discipline == Discipline::kLevels) {
-          if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
+          const int level = this->level(other, owner_generation(seen)) + 1;
+          if (level >= rules_->levels) {
+            if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
+            continue;
+          }
+          A::store_relaxed(line.victim, seen);
+          A::store_relaxed(line.taking, static_cast<std::uint32_t>(level));
+          const std::uint64_t above = (seen & (kParkings | kParked)) | owner_word(slot, generation);
+          if (A::cas(owner, seen, above | kTaken)) return {};
+          A::store_relaxed(line.taking, 0u);
           continue;
         }
         const std::uint32_t last = A::load(shm_.slots[other].coordinator.command);
@@ -160,7 +180,7 @@ class Words {
           continue;
         }
         A::store_relaxed(line.victim, seen);
-        A::store_relaxed(line.victim_command, last);
+        A::store_relaxed(line.taking, last);
         const std::uint64_t taken = (seen & (kParkings | kParked)) | owner_word(slot, generation);
         if (!A::cas(owner, seen, taken | kTaken)) continue;
         command<A>(shm_.slots[other].coordinator.command, last, true);
@@ -196,10 +216,11 @@ class Words {
           continue;
         }
         const std::uint64_t back =
-            owner_word(next.slot, next.generation) | (next.more ? kParked : 0);
+            owner_word(next.slot, next.generation) | (from & kTaken) | (next.more ? kParked : 0);
         if (!A::cas(owner, seen, (seen & kParkings) | back)) continue;
+        if (rules_->discipline == Discipline::kLevels) return {};
         command<A>(shm_.slots[next.slot].coordinator.command,
-                   next_command(A::peek(line.victim_command), true), false);
+                   next_command(A::peek(line.taking), true), false);
         return {0, false, next.slot};
       }
       if ((seen & kParked) == 0) {
@@ -254,7 +275,7 @@ class Words {
   }
   /// Of the hardware, on which the job of this generation runs; once it may run.
   [[nodiscard]] int level(int slot, std::uint32_t generation) const {
-    return level_of(A::peek(shm_.slots[slot].coordinator.level), generation);
+    return level_in<A>(shm_.slots[slot], generation);
   }
 
  private:

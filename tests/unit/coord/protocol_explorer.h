@@ -179,7 +179,8 @@ class ProtocolExplorer {
 
  public:
   explicit ProtocolExplorer(ProtocolWorld world) : world_(std::move(world)) {
-    for (const Discipline d : world_.xpus) rules_.push_back({d, Order(world_.order)});
+    for (const Discipline d : world_.xpus)
+      rules_.push_back({d, Order(world_.order), world_.levels});
   }
 
   ProtocolResult run() {
@@ -766,7 +767,8 @@ class ProtocolExplorer {
         h.add(std::uint64_t{slot.coordinator.grant.load()} << 32 | slot.coordinator.command.load());
         h.add(static_cast<std::uint64_t>(slot.worker.key.load()) * 2 +
               slot.coordinator.used.load());
-        h.add(slot.worker.victim.load() ^ slot.worker.victim_command.load());
+        h.add(slot.worker.victim.load());
+        h.add(slot.worker.taking.load());
         h.add(slot.coordinator.level.load());
         if (world_.lends) h.add(slot.worker.lent.load());
         if (!regulated(i)) continue;

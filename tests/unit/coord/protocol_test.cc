@@ -95,6 +95,16 @@ TEST(Protocol, ThreeJobsOnLevels) {
   }
 }
 
+/// Each above the one before it, and one down with each FINISH. A START that does not look on which level the owner
+/// is shows in it after a tenth of a second.
+TEST(Protocol, ThreeJobsAboveOneAnotherOnLevels) {
+  ProtocolWorld w = world({Discipline::kLevels}, {{task(0, 3)}, {task(1, 2)}, {task(2, 1)}});
+  w.levels = 3;
+  w.coarse = true;
+  w.limit = 400'000'000;
+  expect_clean(w, 1000);
+}
+
 TEST(Protocol, EveryAccessWithTheDeathOfTheCoordinatorAnywhere) {
   if (!full()) GTEST_SKIP() << "millions of states: XAUTO_EXPLORER_FULL=1";
   for (const Discipline d : kAsked) {
