@@ -1,46 +1,71 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# An NVIDIA GPU of the RM driver (no Jetson) under XAuto: what suspending costs, and an app of three modules on it.
-# Needs CUDA's nvcc, g++ and a release build of XAuto; root or a user who may open /dev/nvidia*.
-# usage: run.sh OUT [BUILD_DIR]        docs/results/nvidia.md has what it printed on an H100.
+# An NVIDIA GPU of the RM driver (no Jetson) under XAuto. Parts, in this order; without names all of them:
+#   costs   what suspending a context costs
+#   app     three modules, each a context of its own: suspended, gated, by time slices, and killed
+#   levels  the same with blocks and launches as short as a net's: by levels, and by others that order work or do not
+#   nets    three nets of torchvision, likewise: needs python3 with torch and torchvision
+# Needs CUDA's nvcc, g++ and a release build of XAuto; root or a user who may open /dev/nvidia*. XSCHED is the folder
+# of XSched's libraries. What is not there is said. JITTER_US: how late this machine's threads wake at most;
+# LONG_S, SHORT_S: how long a run takes, XAuto's by levels and the others.
+# usage: run.sh OUT BUILD_DIR [PART...]        docs/results/nvidia.md has what it printed.
 set -uo pipefail
 cd "$(dirname "$0")/../.." || exit 1
 mkdir -p "$1"
-out=$(realpath "$1") build=$(realpath "${2:-build}") here=$PWD/bench/nvidia
+out=$(realpath "$1") build=$(realpath "$2") here=$PWD/bench/nvidia
+shift 2
+parts=" ${*:-costs app levels nets} "
 watch=$build/bin/libxauto_watch.so
-export PATH=$build/bin:$PATH KERNELS=$out/kernels.ptx
+long=${LONG_S:-60} short=${SHORT_S:-20}
+export PATH=$build/bin:$PATH KERNELS=$out/kernels.ptx NETS=$out/nets.txt
 cuda=$(dirname "$(dirname "$(readlink -f "$(command -v nvcc)")")") || { echo "run.sh: no nvcc"; exit 1; }
+asked() { [[ $parts == *" $1 "* ]]; }
 
+# ---- what is built ------------------------------------------------------------------------------
 nvcc -ptx -arch=compute_80 "$here/kernels.cu" -o "$KERNELS" || exit 1
 flags=(-std=c++20 -O2 -Iinclude -Ilib "-I$cuda/include" "-L$cuda/lib64/stubs")
-g++ "${flags[@]}" "$here/suspend.cc" lib/kernel/{rm_queues,queue_files,kfd_queues,i915_contexts}.cc lib/base/pi_mutex.cc \
-  -o "$out/suspend" -lcuda -ldl -lpthread &
-g++ "${flags[@]}" "$here/app.cc" -o "$out/app" "-L$build/lib" "-Wl,-rpath,$build/lib" -Wl,--allow-shlib-undefined -lxauto -lcuda || exit 1
+linked=("-L$build/lib" "-Wl,-rpath,$build/lib" "-Wl,--allow-shlib-undefined" -lxauto -lcuda -ldl)
+torch=$(python3 -c 'import os, torch, torchvision; print(os.path.dirname(torch.__file__))' 2>/dev/null)
+asked nets && [ -z "$torch" ] && echo "run.sh: no torch and torchvision here: no nets" && parts=${parts/ nets / }
+asked costs && g++ "${flags[@]}" "$here/suspend.cc" lib/kernel/{rm_queues,queue_files,kfd_queues,i915_contexts}.cc \
+  lib/base/pi_mutex.cc -o "$out/suspend" -lcuda -ldl -lpthread &
+asked nets && g++ "${flags[@]}" "-I$torch/include" "-I$torch/include/torch/csrc/api/include" "$here/nets.cc" \
+  -o "$out/nets" "-L$torch/lib" "-Wl,-rpath,$torch/lib" -Wl,--no-as-needed -ltorch -ltorch_cuda -ltorch_cpu \
+  -lc10_cuda -lc10 "-L$cuda/lib64" "-Wl,-rpath,$cuda/lib64" -lcudart "${linked[@]}" &
+asked nets && python3 "$here/nets.py" "$out" &
+g++ "${flags[@]}" "$here/app.cc" -o "$out/app" "${linked[@]}" || exit 1
 wait
+cd "$out" || exit 1
 
-suspend() { LD_PRELOAD=$watch timeout -k 5 60 "$out/suspend" "$KERNELS" "$@"; }
 uname -sr
 grep -h NVRM /proc/driver/nvidia/version
 nvidia-smi --query-gpu=name,driver_version,gsp.mode.current,clocks.sm --format=csv,noheader
-suspend costs idle 1
-for blocks in 1 264 1056; do suspend costs compute $blocks; done
-suspend costs stream 1056
-suspend costs poll 264
-suspend beside
-suspend lasting
-suspend calls
-suspend hang &
-sleep 2
-hung=$(pgrep -n -f 'suspend .* hang')
-echo "beside a process that holds its own suspended:" && suspend once
-kill -9 "$hung"
-wait
-echo "after it was killed:" && suspend once
+chrt -f 1 true 2>/dev/null || echo "run.sh: this machine refuses SCHED_FIFO: all threads are ordinary ones"
 
-# The app, planned with what suspending has cost in a run of it.
-cd "$out" || exit 1
+# ---- what suspending costs ----------------------------------------------------------------------
+suspend() { LD_PRELOAD=$watch timeout -k 5 60 "$out/suspend" "$KERNELS" "$@"; }
+costs() {
+  suspend costs idle 1
+  for blocks in 1 264 1056; do suspend costs compute $blocks; done
+  suspend costs stream 1056
+  suspend costs poll 264
+  suspend beside
+  suspend lasting
+  suspend calls
+  suspend hang &
+  sleep 2
+  local hung
+  hung=$(pgrep -n -f 'suspend .* hang')
+  echo "beside a process that holds its own suspended:" && suspend once
+  kill -9 "$hung"
+  wait
+  echo "after it was killed:" && suspend once
+}
+asked costs && costs
+
+# ---- runs ---------------------------------------------------------------------------------------
 xauto doctor --platform-out here.json >doctor.txt
-platform() { # FILE PREEMPT_US PREEMPTIVE [LEVELS]
+platform() { # NAME PREEMPT_US PREEMPTIVE [LEVELS]
   python3 - "$@" <<'P'
 import json, sys
 platform = json.load(open("here.json"))
@@ -50,77 +75,135 @@ gpu.pop("levels", None)
 if len(sys.argv) > 4:
     gpu["levels"] = int(sys.argv[4])
 platform["xpus"] = [gpu]
-json.dump(platform, open(sys.argv[1], "w"))
+json.dump(platform, open(sys.argv[1] + ".json", "w"))
 P
 }
-run() { # NAME PLATFORM POLICY SECONDS FLAG...
-  local name=$1 platform=$2 policy=$3 seconds=$4
-  shift 4
-  timeout -k 5 90 xauto run --app app.json --platform "$platform" --policy "$policy" --duration "${seconds}s" --name "$name" \
-    --out "$name.report.json" "$@" -- ./app 2>"$name.err"
+app=app as=app # the program, and what its runs are called by
+run() { # NAME PLATFORM SECONDS FLAG...: with the policy of that platform
+  local name=$as-$1 platform=$2 seconds=$3
+  shift 3
+  TIMEFORMAT='%U %S'
+  { time timeout -k 5 $((seconds + 60)) xauto run --app "$app-$platform.json" --platform "$platform.json" \
+    --policy "$app-$platform.policy.json" --duration "${seconds}s" --name "$name" --out "$name.report.json" "$@" \
+    -- "./$app" >"$name.txt" 2>"$name.err"; } 2>"$name.cpu" ||
+    { echo "run.sh: $name ended with $?:"; tail -n 3 "$name.err"; }
 }
-measured() { # NAME: app.json of its profile, and what the table above says of jitter and deadlines
-  xauto profile --platform "$1.json" --repetitions 50 --out "$1.profile.json" --app-out profiled.json -- ./app || exit 1
-  python3 - <<'P'
-import json
+profile() { # PLATFORM DEADLINE_MS...: WCETs, and what the tables say of jitter and deadlines
+  local platform=$1
+  shift
+  xauto profile --platform "$platform.json" --repetitions 100 --out "$as-$platform.profile.json" \
+    --app-out profiled.json -- "./$app" || exit 1
+  python3 - "$app-$platform.json" "$@" <<'P'
+import json, os, sys
 app = json.load(open("profiled.json"))
 for source in app["sources"]:
-    source["jitter_us"] = 2000  # ordinary threads wake late; 280 us was the most with SCHED_OTHER on an idle machine
-for chain, deadline_us in zip(app["chains"], (9000, 39000, 190000)):
-    chain["deadline_us"] = deadline_us
-json.dump(app, open("app.json", "w"))
+    source["jitter_us"] = int(os.environ.get("JITTER_US", "1000"))
+for chain, deadline_ms in zip(app["chains"], sys.argv[2:], strict=True):
+    chain["deadline_us"] = 1000 * int(deadline_ms)
+json.dump(app, open(sys.argv[1], "w"))
 P
 }
-plan() { xauto solve --app app.json --platform "$1.json" --time-limit 3s --out "$1.policy.json"; }
-platform first.json 2000 yes
-measured first
-plan first >/dev/null
-run first first.json first.policy.json 10 >first.txt
-cost=$(python3 -c 'import json; p = json.load(open("first.report.json"))["runs"][0]["preemptions"][0]; print((p["suspend_us"] + p["resume_us"]) * 3 // 2)')
-echo "planned with preempt_us $cost"
-platform rm.json "$cost" yes
-platform gate.json 0 no
-plan rm
-plan gate
-run suspended rm.json rm.policy.json 30
-run in-processes rm.json rm.policy.json 20 --isolate
-run gate gate.json gate.policy.json 10
-run timeshare rm.json rm.policy.json 10 --scheduling timeshare
-run killed rm.json rm.policy.json 18 --isolate --restarts 100 &
-sleep 5
-for i in $(seq 8); do
-  kill -9 "$(pgrep m: | sed -n "$((i % 3 + 1))p")"
-  sleep "1.$((i * 37 % 10))"
-done
-kill -9 "$(pgrep xauto-coordinat | tail -n 1)"
-wait
-echo "left behind: $(($(pgrep -c m:) + $(pgrep -c xauto-coordinat)))"
+plan() { xauto solve --app "$app-$1.json" --platform "$1.json" --time-limit 3s --out "$app-$1.policy.json"; }
+cost_of() { # RUN: half as much again as suspending has cost in it
+  python3 - "$1.report.json" <<'P'
+import json, sys
+cost = json.load(open(sys.argv[1]))["runs"][0]["preemptions"][0]
+print((cost["suspend_us"] + cost["resume_us"]) * 3 // 2)
+P
+}
+suspended() { # DEADLINE_MS...: rm.json and its plan, with what suspending has cost in a run
+  platform first 2000 yes
+  profile first "$@"
+  plan first >first.txt
+  run first first 10
+  local cost
+  cost=$(cost_of "$as-first")
+  echo "planned with preempt_us $cost"
+  platform rm "$cost" yes
+  cp "$app-first.json" "$app-rm.json"
+  plan rm
+}
+killed() {
+  run killed rm 18 --isolate --restarts 100 &
+  sleep 5
+  for i in $(seq 8); do
+    kill -9 "$(pgrep m: | sed -n "$((i % 3 + 1))p")"
+    sleep "1.$((i * 37 % 10))"
+  done
+  kill -9 "$(pgrep xauto-coordinat | tail -n 1)"
+  wait
+  echo "left behind: $(($(pgrep -c m:) + $(pgrep -c xauto-coordinat)))"
+}
+contexts() {
+  suspended 9 39 190
+  platform gate 0 no
+  cp app-first.json app-gate.json
+  plan gate
+  run suspended rm 30
+  run in-processes rm "$short" --isolate
+  run gate gate 10
+  run slices rm 10 --scheduling timeshare
+  killed
+}
+asked app && JITTER_US=2000 contexts
 
-# The same with blocks as short as a net's: suspended, by levels of one context, by hand, by the driver alone.
-export BLOCK_US=50
-run slices-short rm.json rm.policy.json 20 --scheduling timeshare
-run suspended-short rm.json rm.policy.json 20
 levels=$(python3 -c 'import json; print(next(x for x in json.load(open("here.json"))["xpus"] if x["type"] == "gpu").get("levels", 0))')
+by_levels() { # DEADLINE_MS...
+  platform levels 0 yes "$levels" # what a job waits for blocks that run is in its WCET
+  profile levels "$@"
+  plan levels
+  run levels levels "$long"
+  ORDER=hand run by-hand levels "$short" --scheduling timeshare
+  ORDER=nobody run by-nobody levels "$short" --scheduling timeshare
+}
+others() {
+  run suspended rm "$short"
+  run slices rm "$short" --scheduling timeshare
+  if command -v nvidia-cuda-mps-control >mps.txt && nvidia-cuda-mps-control -d >>mps.txt 2>&1; then
+    run mps rm "$short" --scheduling timeshare --isolate
+    echo quit | nvidia-cuda-mps-control >>mps.txt 2>&1
+  else
+    echo "run.sh: MPS is not here, or does not start"
+  fi
+}
+by_xsched() {
+  [ -e "${XSCHED:-}/libhalcuda.so" ] || { echo "run.sh: no XSCHED, a folder with libhalcuda.so: no XSched"; return; }
+  XSCHED_CUDA_LIB=$(ldconfig -p | sed -n 's/.*libcuda\.so\.1.*x86-64.* => //p' | head -n 1)
+  export XSCHED_CUDA_LIB
+  for launches in 2 8; do
+    ORDER=xsched XSCHED_LAUNCHES=$launches LD_LIBRARY_PATH=$XSCHED:${LD_LIBRARY_PATH:-} \
+      run "xsched-$launches" levels "$short" --scheduling timeshare
+  done
+}
 if [ "$levels" -lt 2 ]; then
   echo "run.sh: CUDA tells of no stream priorities here: nothing by levels"
 else
-  platform levels.json 0 yes "$levels" # what a job waits for blocks that run is in its WCET
-  measured levels
-  plan levels
-  run levels levels.json levels.policy.json 60
-  HAND_LEVELS=1 run by-hand levels.json levels.policy.json 20 --scheduling timeshare
+  export BLOCK_US=50
+  as=short
+  if asked levels; then
+    by_levels 9 39 190
+    suspended 9 39 190
+    others
+    # XSched takes whole launches back only: so the same in launches of half a millisecond.
+    as=pieces
+    export LAUNCH_US=500
+    by_levels 9 39 190
+    by_xsched
+  fi
+  app=nets as=nets
+  asked nets && by_levels 9 39 190
 fi
-if command -v nvidia-cuda-mps-control >mps.txt && nvidia-cuda-mps-control -d >>mps.txt 2>&1; then
-  run mps rm.json rm.policy.json 20 --scheduling timeshare --isolate
-  echo quit | nvidia-cuda-mps-control >>mps.txt 2>&1
-else
-  echo "run.sh: MPS is not here, or does not start"
-fi
-python3 - *.report.json <<'P'
+
+python3 - ./*.report.json <<'P'
 import json, sys
 for path in sys.argv[1:]:
     run = json.load(open(path))["runs"][0]
+    name = run["name"]
+    try:
+        cpu_s = sum(map(float, open(name + ".cpu").read().split()[-2:]))
+    except (OSError, ValueError):
+        cpu_s = None
     for chain in run["chains"]:
-        print(json.dumps({"run": run["name"], "chain": chain["name"], "latency_us": chain["latency_us"],
-                          "worst_case_us": chain.get("worst_case_us"), "results": chain["results"]}))
+        print(json.dumps({"run": name, "chain": chain["name"], "latency_us": chain["latency_us"],
+                          "worst_case_us": chain.get("worst_case_us"), "results": chain["results"], "cpu_s": cpu_s}))
 P

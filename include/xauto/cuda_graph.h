@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A CUDA graph as an XNode's work: captured once, launched with one call per job, on the level that the job needs. Only
-// for apps that have CUDA 11.4 or newer (cuda.h, libcuda). Compiled and tested against declarations written from
-// NVIDIA's documentation; not run on hardware yet.
+// for apps that have CUDA 11.4 or newer (cuda.h, libcuda). Run on an H200 with CUDA 13: bench/nvidia/nets.cc.
 #pragma once
 
 #include <memory>
@@ -46,11 +45,16 @@ class Graph {
     cuGraphExecDestroy(graph_);
   }
 
+  /// Queues all of it on `stream`, with more of the same job's behind it perhaps: the context must be current (Scope).
+  /// Error: kUnavailable.
+  [[nodiscard]] Status launch(CUstream stream) {
+    return checked(cuGraphLaunch(graph_, stream), "cuGraphLaunch");
+  }
   /// Runs all of it on the context's stream, and waits for it: an `exec`. Error: kUnavailable.
   [[nodiscard]] Status run() {
     const Context::Scope scope(context_);
     XAUTO_TRY(scope.entered());
-    XAUTO_TRY(checked(cuGraphLaunch(graph_, context_.stream()), "cuGraphLaunch"));
+    XAUTO_TRY(launch(context_.stream()));
     return context_.synchronize();
   }
 
