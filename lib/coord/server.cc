@@ -503,9 +503,26 @@ void Server::wake(const Wakes& wakes) {
 
 // ---- telling ------------------------------------------------------------------------------------
 
+namespace {
+bool names(std::uint64_t word, int slot, std::uint32_t generation) {
+  return owner_slot(word) == slot && owner_generation(word) == generation;
+}
+}  // namespace
+
 std::string Server::xnode_name(std::uint32_t xnode) const {
   if (options_.shared) return "XNode " + std::to_string(xnode);
   return xnode < options_.xnodes.size() ? options_.xnodes[xnode] : "?";
+}
+
+/// On levels: whether the job of this slot was started, and others above it, as the chain of words says.
+bool Server::started_below(std::uint64_t word, int index, std::uint32_t generation) const {
+  if (options_.discipline != Discipline::kLevels) return false;
+  for (int steps = 0; (word & kTaken) != 0 && steps < kMaxSlots; ++steps) {
+    if (owner_slot(word) < 0 || owner_slot(word) >= kMaxSlots) return false;
+    word = shm_.slots[owner_slot(word)].worker.victim.load(std::memory_order_seq_cst);
+    if (names(word, index, generation)) return true;
+  }
+  return false;
 }
 
 /// What the worker of this slot is doing, in words; `fat`: the coordinator decides.
@@ -516,7 +533,8 @@ std::string Server::state_of(int index, bool fat) const {
   const Want want = request_want(request);
   // A fat word still names who had the XPU last; whether that job runs is the arbiter's to say.
   const std::uint32_t generation = request_generation(request);
-  const bool owns = !fat && owner_slot(owner) == index && owner_generation(owner) == generation;
+  const bool owns =
+      !fat && (names(owner, index, generation) || started_below(owner, index, generation));
   const bool granted =
       options_.discipline == Discipline::kKernel && memory.coordinator.grant.load() == generation;
   if (want == Want::kRuns || (want == Want::kRun && (owns || granted))) return "running";

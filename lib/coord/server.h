@@ -108,6 +108,7 @@ class Server {
   void take_over_from_predecessor();
   void give_up_absent();
   void wake(const Wakes& wakes);
+  [[nodiscard]] bool started_below(std::uint64_t word, int index, std::uint32_t generation) const;
   [[nodiscard]] std::string state_of(int index, bool fat) const;
   [[nodiscard]] int waited_for(bool fat) const;
   [[nodiscard]] std::string xnode_name(std::uint32_t xnode) const;

@@ -20,6 +20,7 @@
 #include "coord/observer.h"
 #include "coord/port.h"
 #include "coord/protocol.h"
+#include "model/xpu_status.h"
 
 #include "address.h"
 
@@ -109,6 +110,37 @@ class Obedient {
 
 void wait_for(const std::function<bool()>& condition) {
   while (!condition()) std::this_thread::yield();  // the test's own time limit is the net
+}
+
+/// [worker] what the coordinator at this address says that it is at.
+std::string states_at(const std::string& address) {
+  const auto asker = connect_abstract(address);
+  const auto kind = static_cast<std::uint32_t>(MessageKind::kStatus);
+  std::string text(kMaxStatusBytes, '\0'), states;
+  if (!asker || !send_packet(asker->get(), &kind, sizeof kind)) return "nobody answers";
+  const auto size = receive_packet(asker->get(), text.data(), text.size());
+  if (!size) return "no answer";
+  const auto json = Json::parse(text.substr(0, *size));
+  if (!json) return "no JSON";
+  const auto status = parse_xpu_status(*json);
+  if (!status) return "no answer";
+  for (const WorkerStatus& worker : status->workers)
+    states += worker.worker + " " + worker.state + "; ";
+  return states;
+}
+
+TEST(Server, WhatRunsBelowAnotherOnALevelIsShownAsRunning) {
+  Running running(Discipline::kLevels, {}, 3);
+  const auto low = running.port(0), middle = running.port(1), high = running.port(2);
+  low->start(numbered(0, 0, 1));
+  middle->start(numbered(1, 0, 2));
+  EXPECT_EQ(states_at(running.address()), "worker0 running; worker1 running; worker2 idle; ");
+  high->start(numbered(2, 0, 3));
+  EXPECT_EQ(states_at(running.address()), "worker0 running; worker1 running; worker2 running; ");
+  high->finish();
+  middle->finish();
+  EXPECT_EQ(states_at(running.address()), "worker0 running; worker1 idle; worker2 idle; ");
+  low->finish();
 }
 
 TEST(Server, AJobIsToldItsLevelAndTheOneAboveAllWaits) {
