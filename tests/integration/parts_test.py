@@ -32,6 +32,23 @@ for command in (0x17, 0x1f, 0x2c):  # tx checksums, TSO, GRO: what is not comput
 """
 
 
+STRANGERS = """import os, socket, struct, sys, time
+until, there = time.monotonic() + 20, []
+while len(there) < 80 and time.monotonic() < until:
+    try:
+        one = socket.create_connection((sys.argv[1], int(sys.argv[2])), 5)
+        # Silence; noise; a length that nobody has; a frame that is none; one of another kind.
+        one.send((b"", os.urandom(5000), struct.pack("<I", 2**32 - 1), b"\\x02\\0\\0\\0{}", b"\\x10\\0\\0\\0" + b'{"is": "report"}')[len(there) % 5] or b"")
+        there.append(one)
+    except ConnectionRefusedError:
+        time.sleep(0.1)
+    except OSError:
+        there.append(None)
+print("there", flush=True)
+time.sleep(60)
+"""
+
+
 def call(*words):
     done = subprocess.run([str(word) for word in words], capture_output=True, text=True)
     assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
@@ -309,6 +326,17 @@ class Two(Parts):
         self.assertEqual(front.wait(timeout=30), 1)
         self.assertIn("told to stop before all parts were there", self.said("front"))
 
+
+    def test_strangers_at_the_door_keep_nobody_out(self):
+        self.solve(TWO)
+        front = self.start("front", activations=10)
+        strangers = subprocess.Popen([*self.network.on("rear"), sys.executable, "-c", STRANGERS, *MEET.split(":")], stdout=subprocess.PIPE, text=True)
+        self.addCleanup(strangers.communicate)
+        self.addCleanup(strangers.kill)
+        self.assertEqual(strangers.stdout.readline(), "there\n")
+        rear = self.start("rear", activations=10)
+        self.assertTrue(self.ended("front", front)["complete"])
+        self.ended("rear", rear)
 
     def test_the_page_s_commands(self):
         """docs/several-machines.md: solve, check and a part on each host, as they stand there, but for the address and the end."""
