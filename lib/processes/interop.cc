@@ -21,7 +21,7 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
   for (const auto& [name, where] : session.deployment.transport) {
     const std::string place = "transport of topic '" + name + "'";
     const auto topic = std::find_if(graph.topics.begin(), graph.topics.end(),
-                                    [&](const auto& t) { return t.spec.name == name; });
+                                    [&name = name](const auto& t) { return t.spec.name == name; });
     if (topic == graph.topics.end())
       return fail(ErrorCode::kInvalid, "the app has no such topic", place);
     const auto t = static_cast<std::size_t>(topic - graph.topics.begin());

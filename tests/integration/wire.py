@@ -20,6 +20,11 @@ def is_udp(frame):
     return len(frame) > 23 and frame[12:14] == b"\x08\x00" and frame[23] == UDP
 
 
+def is_whole(frame):
+    """A fragment of a datagram that comes twice would stay in the receiver's kernel for 30 s, and fill its memory."""
+    return is_udp(frame) and int.from_bytes(frame[20:22], "big") & 0x3FFF == 0
+
+
 def main(names):
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
@@ -61,7 +66,7 @@ def main(names):
                 if rule["drop"]:
                     continue
                 delay = (rule["delay_ms"] + random.uniform(0, rule["jitter_ms"])) / 1000
-            for _ in range(2 if rule["twice"] and is_udp(frame) else 1):
+            for _ in range(2 if rule["twice"] and is_whole(frame) else 1):
                 number += 1
                 heapq.heappush(waiting, (time.monotonic() + delay, number, one, frame))
 
