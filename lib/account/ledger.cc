@@ -40,6 +40,9 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   released_for_.assign(context.graph.modules.size(), 0);
   if (!role.leads()) return;
   const Session& session = context.session;
+  std::vector<char> here;
+  for (const int process : context.plan.process_of) here.push_back(process != Plan::kElsewhere);
+  routes_.end_here(here);
   const bool paced = session.releases.input.empty() && !session.releases.lockstep;
   routes_.show_on(context.board, paced ? &context.grid : nullptr);
   if (session.releases.lockstep && !context.grid.one_at_a_time) routes_.in_lockstep();
@@ -374,6 +377,7 @@ std::string Ledger::what_did_not_end() const {
 void Ledger::tell_claims(Account& into) const {
   claim_on(into, claimed());
   if (!into.claims()) return;
+  if (!context_.session.platform.hosts.empty()) into.scope += kHostsScope;
   const Session& session = context_.session;
   const std::size_t claims =
       session.tables ? largest_claims(*session.tables).size() : session.keys->chains.size();
@@ -383,9 +387,12 @@ void Ledger::tell_claims(Account& into) const {
              fmt::format("{} of {} chains are not measured", unmeasured, claims));
   unmeasured = 0;
   // In lockstep there are results without a time; that is told by what is not kept.
-  for (const ChainAccount& chain : into.chains)
-    unmeasured +=
-        chain.worst_case_us > 0 && chain.results() == 0 && chain.not_measured == 0 ? 1 : 0;
+  for (std::size_t c = 0; c < into.chains.size(); ++c) {
+    const ChainAccount& chain = into.chains[c];
+    if (routes_.ends_here(c) && chain.worst_case_us > 0 && chain.results() == 0 &&
+        chain.not_measured == 0)
+      ++unmeasured;
+  }
   if (unmeasured > 0)
     into.add("chain_without_result", unmeasured,
              fmt::format("{} of {} chains had no result", unmeasured, into.chains.size()));

@@ -127,6 +127,10 @@ void Routes::take_all(const Graph& graph, const Grid& grid, std::int64_t deadlin
   }
 }
 
+void Routes::end_here(const std::vector<char>& modules) {
+  for (Route& route : routes_) route.here = modules[static_cast<std::size_t>(route.module)] != 0;
+}
+
 void Routes::show_on(Board& board, const Grid* grid) {
   board_ = &board;
   for (std::size_t i = 0; i < routes_.size(); ++i) {
@@ -272,7 +276,7 @@ void Routes::released(std::size_t source, std::int64_t origin_ns) {
   const Guard lock(*mutex_);
   newest_ns_ = origin_ns;
   for (Route& route : routes_) {
-    if (route.source != source || route.period_ns == 0) continue;
+    if (route.source != source || route.period_ns == 0 || !route.here) continue;
     route.unknown.push_back(origin_ns);
     if (route.unknown.size() <= kMostUnknown) continue;
     // Whoever tells of it now comes too late for any limit.
@@ -418,6 +422,7 @@ std::vector<ChainAccount> Routes::report(const std::vector<std::uint64_t>& lost,
   const Guard lock(*mutex_);
   for (const Route& route : routes_) {
     result.push_back(route.counts);
+    if (!route.here) continue;
     lose_rest(route, lost, unended, newest_ns, result.back());
   }
   return result;

@@ -59,6 +59,10 @@ class Routes {
   /// Counts on the board from here on, too: chain i is flow i + 1. `grid`: null where releases do
   /// not come by periods.
   void show_on(Board& board, const Grid* grid = nullptr);
+  /// [module] Chains that end in others end on another host, which counts them. Before the run.
+  void end_here(const std::vector<char>& modules);
+  /// Whether it does.
+  [[nodiscard]] bool ends_here(std::size_t chain) const { return routes_[chain].here; }
   /// Each release waits for the one before. Before the run.
   void in_lockstep() { lockstep_ = true; }
   /// `source` is about to release what has a message; one after the other.
@@ -124,6 +128,7 @@ class Routes {
     std::deque<std::int64_t> unknown = {};  ///< releases of the source that no result knows yet
     FlowLine* line = nullptr;               ///< null: nobody looks
     std::int64_t urgent_allowed_us = 0;
+    bool here = true;      ///< it ends on this host
     bool hurries = false;  ///< an urgent activation of its end is of an urgent release
   };
   void add(const Graph& graph, const Grid& grid, ChainAccount counts, std::size_t source, int node);

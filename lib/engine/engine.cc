@@ -61,6 +61,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (graph.sources.size() == 1 && session.app.sources.size() == 1)
     graph.sources[0].name = session.app.sources[0].name;
   if (session.app.one_at_a_time) graph.single_rate = true;  // whatever the program's rates are
+  if (session.host.there()) graph.single_rate = false;      // nobody here sees all of a release
   // Releases have the numbers of app.json's grid, also those that are pushed.
   if (!session.app.sources.empty() && !session.releases.lockstep && session.releases.input.empty())
     for (Graph::Module& module : graph.modules) module.numbered = true;
@@ -163,8 +164,35 @@ Result<RunReport> Engine::run() {
   return result;
 }
 
+/// The start that all hosts have agreed on. False: told to stop before.
+Result<bool> Engine::begin_part() {
+  BoardHeader& header = context_->board.header();
+  const auto ready = [&](PartReady how) {
+    header.part_ready.store(static_cast<std::uint32_t>(how));
+  };
+  ready(PartReady::kBuilt);
+  constexpr std::int64_t kAskNs = 5'000'000, kAheadNs = 20'000'000, kFindNs = 3'000'000'000;
+  const std::int64_t built_ns = now_ns();
+  for (bool met = false; !stop_.load(); sleep_until_ns(now_ns() + kAskNs)) {
+    met = met || wiring_->crossings()->met();
+    if (met) ready(PartReady::kMet);
+    // Who joins a run that goes on has less to lose once it has found the others, if they are there.
+    if (header.part_start_ns.load() != 0 && (met || now_ns() - built_ns > kFindNs)) break;
+  }
+  const std::int64_t start_ns = header.part_start_ns.load();
+  if (start_ns == 0) return false;
+  // Who comes later begins with the next releases.
+  const parts::PartStart start{start_ns, std::max<std::int64_t>(0, now_ns() + kAheadNs - start_ns)};
+  releaser_->begin_with(start);
+  XAUTO_TRY(wiring_->begin_part(start));
+  return true;
+}
+
 Result<RunReport> Engine::run_all() {
-  XAUTO_ASSIGN(const bool begun, role_->begin());
+  XAUTO_ASSIGN(bool begun, role_->begin());
+  if (begun && wiring_->crossings() != nullptr) {
+    XAUTO_ASSIGN(begun, begin_part());
+  }
   if (!begun) {
     role_->end();
     stop_workers();
@@ -173,6 +201,8 @@ Result<RunReport> Engine::run_all() {
     return nothing;
   }
   XAUTO_TRY(releaser_->run(placing_.fifo.sources));
+  if (wiring_->crossings() != nullptr && !wiring_->crossings()->finish(releaser_->end_ns()))
+    add_note(left_behind_, "messages of other hosts were waited for, for a minute");
   const bool drained = releaser_->wait_drained();
   role_->end();
   stop_workers();

@@ -65,6 +65,7 @@ class Engine final : private ModuleHost {
   [[nodiscard]] std::uint32_t publisher_of(int topic) const;
   [[nodiscard]] Result<RunReport> run_all();
   [[nodiscard]] Result<RunReport> run_part();
+  [[nodiscard]] Result<bool> begin_part();
   void note_chain_ends();
   [[nodiscard]] std::vector<std::size_t> waiting() const;
   void note_lockstep(RunReport& into) const;

@@ -71,8 +71,10 @@ std::vector<std::string> socket_names(const runtime::Session& session) {
   std::vector<std::string> names;
   if (session.emulates()) names.emplace_back(kEmudName);
   if (session.mode == runtime::Mode::kRun && session.scheduling == runtime::Scheduling::kXAuto)
-    for (const Xpu& xpu : session.platform.xpus)
-      if (!session.shares(xpu.id)) names.push_back(xpu.id);
+    for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+      if (const std::string& id = session.platform.xpus[x].id;
+          !session.shares(id) && !session.elsewhere(x))
+        names.push_back(id);
   return names;
 }
 

@@ -89,6 +89,7 @@ class Supervisor {
     outcome_.dead_daemons = daemons_->who_died();
     if (lease_lost_) outcome_.dead_daemons.push_back("xauto-system ended, and its coordinators");
     outcome_.emulator_died = daemons_->emulator_died();
+    if (no_start_) return tl::unexpected(*std::move(no_start_));
     return collect();
   }
 
@@ -337,6 +338,31 @@ class Supervisor {
     log::warn("{}", outcome_.notes.back());
   }
 
+  /// What the app and the other parts have to know of each other before its releases begin. False: there will be no
+  /// start.
+  bool look_at_meeting() {
+    Meeting* meeting = request_.meeting;
+    if (meeting == nullptr || started_ || no_start_) return !no_start_;
+    if ((no_start_ = meeting->error())) return false;
+    auto board = Board::steer(board_fd_.get());
+    if (!board) return true;  // the app has not made it yet
+    BoardHeader& header = (*board)->header();
+    switch (static_cast<PartReady>(header.part_ready.load())) {
+      case PartReady::kMet:
+        meeting->reached(PartStage::kReady);
+        break;
+      case PartReady::kBuilt:
+        meeting->reached(PartStage::kBuilt);
+        break;
+      default:
+        return true;
+    }
+    const std::int64_t start_ns = meeting->start_ns();
+    header.part_start_ns.store(start_ns);
+    started_ = start_ns != 0;
+    return true;
+  }
+
   /// Of daemons, to whoever looks at the run.
   void show_deaths() {
     if (daemons_->deaths() == shown_deaths_ || !board_fd_) return;
@@ -417,6 +443,7 @@ class Supervisor {
         request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
       look_for_incidents(now);
       if (!daemons_->look_after(now)) tell(nullptr);
+      if (!look_at_meeting()) tell(nullptr);
       look_at_coordinators(now);
       look_at_lease();
       show_deaths();
@@ -491,6 +518,8 @@ class Supervisor {
   std::optional<DeployedPolicy> policy_;
   bool stopped_ = false;  ///< by the user
   bool silence_told_ = false;
+  bool started_ = false;           ///< of a part: its app knows the start
+  std::optional<Error> no_start_;  ///< of a part
   std::optional<std::pair<std::int64_t, std::int64_t>>
       first_look_;  ///< at the coordinators: when; CPU time in us
   Dumps dumps_[2];  ///< misses, hangs

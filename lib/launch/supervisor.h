@@ -24,6 +24,7 @@
 
 #include "base/process.h"
 #include "launch/daemons.h"
+#include "launch/meeting.h"
 #include "launch/system_lease.h"
 #include "model/emulation_script.h"
 #include "processes/board.h"
@@ -58,6 +59,8 @@ struct Supervision {
   double trace_keep_s = 0;            ///< the trace keeps the newest events of so long; 0: no trace
   /// Of the first few of each kind, shortly after it happened. Called on the caller's thread.
   std::function<void(const Incident&)> on_incident;
+  Meeting* meeting =
+      nullptr;  ///< of one host's part (session.host), to its end; null: there are no parts
   std::int64_t time_limit_s = 0;    ///< 0: none; then the app is stopped
   std::int64_t cpu_budget_pct = 0;  ///< sched_ext: of a job's WCET; 0: no budgets
 };

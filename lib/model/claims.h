@@ -19,6 +19,8 @@ inline constexpr const char* kKeyScope =
     "every release, once each XNode that samples has started, within the app's WCETs, transfers, "
     "jitters and clock tolerances, where each XPU serves this app alone, or apps that were tested "
     "with it, by the policy's keys and holds";
+/// Beside it, of an app over several hosts.
+inline constexpr const char* kHostsScope = ", and each message between hosts is there by its X";
 /// The same where no source has a rate.
 inline constexpr const char* kOneAtATimeScope =
     "every release, let in when the one before has ended, within the app's WCETs and transfers, "

@@ -72,6 +72,10 @@ struct alignas(64) BoardHeader {
   char unkept[kBoardTextBytes] = {};
   ContextCounts contexts{};                    ///< by the workers of all processes
   std::atomic<std::uint64_t> daemon_deaths{};  ///< [S] of the emulator and coordinators
+  // Of one host's part of a run:
+  std::atomic<std::uint64_t> crossing_lost{};  ///< [H] messages that were not here by their X
+  std::atomic<std::uint32_t> part_ready{};     ///< [H] PartReady
+  std::atomic<std::int64_t> part_start_ns{};   ///< [S] when its releases begin; 0: not known yet
   // Of a run with tables:
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
@@ -84,6 +88,13 @@ struct alignas(64) BoardHeader {
   /// stall holds up may be of one of those. In a run by keys what counts is the nominal release of the
   /// component, in microseconds.
   std::atomic<std::uint64_t> in_force{}, before{}, older[30]{};
+};
+
+/// BoardHeader::part_ready.
+enum class PartReady : std::uint32_t {
+  kNotYet,
+  kBuilt,  ///< it waits for the other hosts over DDS
+  kMet,    ///< ... which are all there
 };
 
 /// A table, and the first release that has it. Up to 2^48 releases: 281 years at 30 kHz; as

@@ -169,6 +169,9 @@ class Watched {
     }
     add("lost_activation", lost, fmt::format("{} activations were lost", lost));
     add("process_death", deaths, "processes of the run died");
+    const std::uint64_t late = board_.header().crossing_lost.load();
+    add("crossing_lost", late,
+        fmt::format("{} messages of other hosts were not here by their key + X", late));
     // When it is over, who looked after them names each.
     const std::uint64_t daemons = board_.header().daemon_deaths.load();
     if (account_.goes_on)

@@ -21,7 +21,7 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
   for (const auto& [name, where] : session.deployment.transport) {
     const std::string place = "transport of topic '" + name + "'";
     const auto topic = std::find_if(graph.topics.begin(), graph.topics.end(),
-                                    [&](const auto& t) { return t.spec.name == name; });
+                                    [&name = name](const auto& t) { return t.spec.name == name; });
     if (topic == graph.topics.end())
       return fail(ErrorCode::kInvalid, "the app has no such topic", place);
     const auto t = static_cast<std::size_t>(topic - graph.topics.begin());
@@ -41,6 +41,10 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     options.largest_bytes = std::max(options.largest_bytes, largest(topic->spec));
   }
   if (out.empty() && in.empty()) return nullptr;
+  // What crosses between hosts (lib/parts/) is in the same domain, whose limit is that of who comes first.
+  if (session.host.there())
+    for (const Graph::Topic& topic : graph.topics)
+      options.largest_bytes = std::max(options.largest_bytes, largest(topic.spec));
   XAUTO_ASSIGN(options.domain, transport::ros_domain());
   auto interop = std::unique_ptr<Interop>(new Interop);
   XAUTO_ASSIGN(interop->bridge_, transport::open_bridge("cyclonedds", options));

@@ -14,6 +14,28 @@ int Plan::Remote::reader(int process) const {
   return at == readers.end() ? -1 : static_cast<int>(at - readers.begin());
 }
 
+bool Plan::heard_here(const Graph::Topic& topic) const {
+  return std::ranges::any_of(topic.subscribers, [this](const Graph::Subscriber& s) {
+    return process_of[static_cast<std::size_t>(s.module)] != kElsewhere;
+  });
+}
+
+namespace {
+
+/// A module is where the policy has its XNodes.
+void take_hosts(const Graph& graph, const Session& session, Plan& plan) {
+  const int here = session.platform.find_host(session.host.name);
+  for (std::size_t m = 0; m < graph.modules.size(); ++m) {
+    const int xnode = session.app.find(
+        graph.nodes[static_cast<std::size_t>(graph.modules[m].nodes.front())].name);
+    const int xpu = session.keys->placements[static_cast<std::size_t>(xnode)].xpu;
+    plan.host_of.push_back(session.platform.xpus[static_cast<std::size_t>(xpu)].host);
+    if (plan.host_of.back() != here) plan.process_of[m] = Plan::kElsewhere;
+  }
+}
+
+}  // namespace
+
 Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
                         const Session& session) {
   Plan plan;
@@ -37,6 +59,7 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
         return fail(ErrorCode::kInvalid, "is given to two processes", "XModule '" + name + "'");
       process = static_cast<int>(p) + 1;
     }
+  if (session.host.there()) take_hosts(graph, session, plan);
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     const Graph::Topic& topic = graph.topics[t];
     Remote& remote = plan.topics[t];
@@ -49,6 +72,8 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
       if (observer.topic.name == topic.spec.name) readers.insert(0);
     if (session.releases.record_outputs && topic.spec.encode != nullptr) readers.insert(0);
     readers.erase(remote.publisher);
+    readers.erase(kElsewhere);  // what crosses is no shared memory's
+    if (remote.publisher == kElsewhere) readers.clear();
     remote.readers.assign(readers.begin(), readers.end());
     if (remote.readers.empty()) continue;
     if (remote.readers.size() > transport::kMaxTopicSubscribers)

@@ -21,8 +21,13 @@ struct Plan {
     [[nodiscard]] int reader(int process) const;  ///< its subscriber number, or -1
   };
   int processes = 1;
-  std::vector<int> process_of;  ///< [module]
-  std::vector<Remote> topics;   ///< [topic]
+  std::vector<int> process_of;  ///< [module]; kElsewhere: another host has it
+  static constexpr int kElsewhere = -1;
+  std::vector<int> host_of;    ///< [module] index into Platform::hosts; empty: the run has no parts
+  std::vector<Remote> topics;  ///< [topic]
+
+  /// Whether some module that is here is fired by `topic`, or samples it.
+  [[nodiscard]] bool heard_here(const Graph::Topic& topic) const;
 
   /// Errors: a module named twice or unknown, a topic that cannot leave its process.
   [[nodiscard]] static Result<Plan> make(const Graph& graph, const detail::AppSpecErased& app,

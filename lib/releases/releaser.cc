@@ -323,7 +323,9 @@ Releaser::Periodic Releaser::begin_periodic() {
   // Without a polled source there is no time grid: pushes are counted.
   const bool counts_pushes = run.sources.empty() && context_.session.releases.duration_us == 0;
   pushes_left_ = counts_pushes ? context_.session.releases.activations : 0;
-  run.start = now_ns() + 20'000'000;
+  run.start = part_ ? part_->start_ns : now_ns() + 20'000'000;
+  if (part_)
+    for (Periodic::Source& s : run.sources) s.sequence = part_->first(*s.grid, s.grid->shift_ns);
   if (EarlyStart* early = wiring_.early_start())
     for (const Periodic::Source& s : run.sources)
       if (phases_[s.grid->clock] == nullptr) early->due(s.grid->number, run.start);
@@ -373,6 +375,11 @@ Status Releaser::make_messages(Periodic& run, std::int64_t due_ns) {
       run.fed.push_back({s.topic, s.sequence++, nullptr, 0});
       continue;
     }
+    if (part_ && !context_.plan.heard_here(context_.graph.topics[topic])) {
+      run.samples.push_back(
+          {.topic = s.topic, .sequence = s.sequence++, .nominal_ns = due_ns, .elsewhere = true});
+      continue;
+    }
     const auto source = static_cast<std::size_t>(context_.graph.topics[topic].source);
     XAUTO_ASSIGN(auto message, make_message(source, topic, s.sequence, std::max(due_ns, now_ns())));
     XAUTO_ASSIGN(const bool says, marked(source, message.get(), s.sequence));
@@ -390,8 +397,24 @@ Result<bool> Releaser::wait_until_due(std::int64_t due_ns) {
   return !stop_.load();
 }
 
+/// The others have to know when something is released. A source that is asked releases by each host's own clock, also
+/// where app.json has it on another one than "main": to a certificate that is a clock with a tolerance, and no drift.
+Status Releaser::check_part() const {
+  if (!part_) return {};
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    if (context_.graph.topics[t].source < 0 || !tracked(t)) continue;
+    return fail(ErrorCode::kInvalid,
+                "is pushed or fed: no other host would know when it is released",
+                "source '" + context_.graph.topics[t].spec.name + "'",
+                "with --part all sources are asked for their messages (a function and a period)");
+  }
+  return {};
+}
+
 Status Releaser::release_periodic() {
+  XAUTO_TRY(check_part());
   Periodic run = begin_periodic();
+  end_ns_ = run.length_ns;
   while (!stop_.load()) {
     const bool waits = find_next(run);
     std::int64_t due = run.start + run.next_ns;
@@ -419,6 +442,7 @@ Status Releaser::release_periodic() {
     release(now_ns(), run.samples);
     run.samples.clear();  // the messages belong to who reads them
   }
+  if (stop_.load()) end_ns_ = std::min(end_ns_, now_ns() - run.start);
   return {};
 }
 
@@ -580,7 +604,7 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
     return sample.stamp_ns > 0 ? sample.stamp_ns : now_ns;
   };
   for (const Sample& sample : samples)
-    if (sample.nominal_ns > 0) {
+    if (sample.nominal_ns > 0 && !sample.elsewhere) {
       account_.released(static_cast<std::size_t>(
                             context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
                         now_ns - sample.nominal_ns);
@@ -591,7 +615,7 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   ledger_.open(sequence, oldest_ns);
   // Nothing can come out of what has no message, or is left out.
   for (const Sample& sample : samples)
-    if (sample.message != nullptr && !left_out(sample))
+    if ((sample.message != nullptr || sample.elsewhere) && !left_out(sample))
       ledger_.released(static_cast<std::size_t>(
                            context_.graph.topics[static_cast<std::size_t>(sample.topic)].source),
                        sample.sequence, origin_of(sample));
@@ -610,9 +634,11 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   }
   if (recorder_)
     for (const Sample& sample : samples)
-      recorder_->record(static_cast<std::size_t>(sample.topic), now_ns, sample.sequence,
-                        sample.message.get());
+      if (!sample.elsewhere)
+        recorder_->record(static_cast<std::size_t>(sample.topic), now_ns, sample.sequence,
+                          sample.message.get());
   for (const Sample& sample : samples) {
+    if (sample.elsewhere) continue;
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
     if (left_out(sample)) {  // nobody waits for it, and nothing was lost

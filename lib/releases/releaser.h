@@ -23,6 +23,8 @@
 #include "runtime/wiring.h"
 #include "tables/table_switch.h"
 
+#include "parts/crossings.h"
+
 namespace xauto::runtime {
 
 /// Threads: one at a time.
@@ -35,6 +37,10 @@ class Releaser {
   /// Calls the app's on_start, and releases until the session's end. On a thread of its own: the
   /// callbacks are a user's, and its priority is `fifo` (0: an ordinary thread).
   [[nodiscard]] Status run(int fifo);
+  /// Its releases begin then, from some instant on, with all hosts'; see parts/crossings.h. Before `run`.
+  void begin_with(const parts::PartStart& start) { part_ = start; }
+  /// What is nominally released so long after the start, or later, is not released any more. After `run`.
+  [[nodiscard]] std::int64_t end_ns() const { return end_ns_; }
   /// Until everything that was released is through; see Ledger::wait_drained.
   [[nodiscard]] bool wait_drained();
   /// Closes the recording, with an account of `releases` (of an app of one rate). Nothing is published
@@ -60,6 +66,7 @@ class Releaser {
     std::int64_t nominal_ns = 0;          ///< when it should be released; 0: when it is
     bool urgent = false;
     std::int64_t stamp_ns = 0;  ///< its origin, of what is fed without a grid; 0: the release
+    bool elsewhere = false;     ///< nobody hears it on this host
   };
   struct Periodic;
   Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)
@@ -80,6 +87,7 @@ class Releaser {
   [[nodiscard]] bool counted_all(int topic);
   [[nodiscard]] Result<bool> release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;
+  [[nodiscard]] Status check_part() const;
   [[nodiscard]] bool tracked(std::size_t topic) const;
   [[nodiscard]] Status open_feeds(int fifo);
   [[nodiscard]] bool certifies_urgent(std::size_t source) const;
@@ -115,6 +123,8 @@ class Releaser {
   std::vector<std::uint64_t> pushed_;  ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;      ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;
+  std::optional<parts::PartStart> part_;
+  std::int64_t end_ns_ = INT64_MAX;
   int gaps_ = 0;           ///< of the recording, longer than record::kGapNs
   SourceAccount account_;  ///< what is not as app.json states
   /// [clock] of what is pushed in a run by keys; null: everything of it is released by us.

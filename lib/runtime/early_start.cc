@@ -16,7 +16,7 @@ bool EarlyStart::may_be(const Context& context) {
   const Session& session = context.session;
   return context.scheduled() && session.keys && !session.tables && !session.releases.lockstep &&
          !session.app.one_at_a_time && session.releases.input.empty() &&
-         context.plan.processes == 1;
+         context.plan.processes == 1 && !session.host.there();
 }
 
 Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const Platform& platform,

@@ -136,7 +136,7 @@ std::vector<std::string> unkept_of_keys(const Session& session) {
 }
 
 bool real_and_used(const Session& session, std::size_t x) {
-  if (session.emulated(static_cast<int>(x))) return false;
+  if (session.presence_of(static_cast<int>(x)) != Presence::kReal) return false;
   for (std::size_t t = 0; t < session.num_tables(); ++t)
     for (const PriorityPlacement& p : session.of_table(t).placements)
       if (p.xpu == static_cast<int>(x)) return true;

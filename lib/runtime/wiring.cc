@@ -57,6 +57,7 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
   w.channels_.resize(topics);
   XAUTO_TRY(w.open_topics());
   XAUTO_ASSIGN(w.interop_, Interop::open(context.graph, context.plan, session));
+  XAUTO_ASSIGN(w.crossings_, parts::Crossings::open(context));
   w.modules_.resize(modules);
   for (std::size_t m = 0; m < modules; ++m)
     if (context.hosts(m)) XAUTO_TRY(w.make_module(m, host));
@@ -246,6 +247,8 @@ void Wiring::connect(std::size_t topic) {
   transport::Channel& channel = channels_[topic];
   // Other processes first: they have a longer way.
   if (publisher(topic) != nullptr) channel.subscribe(publisher(topic)->sender());
+  if (crossings_)
+    if (auto sender = crossings_->sender(topic)) channel.subscribe(std::move(sender));
   if (role_.leads())
     for (const detail::ObserverSpec& observer : context_.app.observers)
       if (observer.topic.name == spec.spec.name)
@@ -289,9 +292,32 @@ Status Wiring::open_inputs() {
   });
 }
 
+Status Wiring::begin_part(const parts::PartStart& start) {
+  thread_.check();
+  XAUTO_ASSIGN(const auto releases,
+               parts::releases_of_modules(context_.graph, context_.session.app));
+  for (std::size_t m = 0; m < modules_.size(); ++m) {
+    const std::uint64_t first = start.first(releases[m]);
+    if (modules_[m] == nullptr || first == 0) continue;
+    modules_[m]->begin_at(first);
+    skip(static_cast<int>(m), first - 1);
+  }
+  return crossings_->start(
+      start,
+      [this](std::size_t topic, const detail::Envelope& envelope) {
+        channels_[topic].publish(envelope);
+      },
+      [priority = placing_.fifo.sources] {
+        rt::set_thread_name("xauto/crossings");
+        rt::set_timer_slack_1ns();
+        if (priority > 0) (void)rt::set_fifo(priority);
+      });
+}
+
 void Wiring::close_inputs() {
   thread_.check();
   if (receiver_) receiver_->stop();
+  if (crossings_) crossings_->stop();
 }
 
 std::vector<std::string> Wiring::stop() {
@@ -315,6 +341,10 @@ bool Wiring::lost_scheduler() const {
 }
 
 void Wiring::report(RunReport& into) {
+  if (crossings_) {
+    crossings_->stop();
+    crossings_->report(into);
+  }
   if (interop_) {
     interop_->stop();
     for (const std::string& note : interop_->notes()) add_note(into.note, note);

@@ -30,6 +30,8 @@
 #include "transport/receiver.h"
 #include "xpu/cpu_threads.h"
 
+#include "parts/crossings.h"
+
 namespace xauto::runtime {
 
 /// Threads: one; the objects that it hands out have their own rules.
@@ -62,6 +64,10 @@ class Wiring {
   }
   /// Null: no program outside hears or feeds this process.
   [[nodiscard]] Interop* interop() const { return interop_.get(); }
+  /// Null: the run is not one host's part of several.
+  [[nodiscard]] parts::Crossings* crossings() const { return crossings_.get(); }
+  /// From here on messages of other hosts come in; modules begin with the first releases that are for us.
+  [[nodiscard]] Status begin_part(const parts::PartStart& start);
   /// Null: holds are waited for to their end.
   [[nodiscard]] EarlyStart* early_start() const { return early_.get(); }
   /// Null: none was opened.
@@ -98,6 +104,7 @@ class Wiring {
   std::vector<std::shared_ptr<transport::Publisher>> publishers_;  ///< [topic]
   std::vector<transport::Channel> channels_;                       ///< [topic]
   std::unique_ptr<Interop> interop_;
+  std::unique_ptr<parts::Crossings> crossings_;
   std::unique_ptr<transport::Receiver> receiver_;
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;        ///< [module]
   std::vector<std::vector<std::unique_ptr<NodeRow>>> chains_;  ///< [module][in flight]

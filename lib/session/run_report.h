@@ -78,6 +78,21 @@ struct SwitchReport {
 };
 inline constexpr std::size_t kKeptSwitches = 4096;
 
+/// What one host's part read of an XNode of another host (parts/crossing_reader.h).
+struct CrossingReport {
+  std::string xnode, from, to;
+  std::int64_t x_us = 0;
+  std::uint64_t messages = 0;   ///< that were here by their key + X
+  std::int64_t longest_us = 0;  ///< of these: from the key, by the reader's clock
+  std::uint64_t lost = 0;       ///< that were not
+  std::uint64_t late = 0;       ///< of these: they came later, by up to latest_us
+  std::int64_t latest_us = 0;
+  std::uint64_t twice = 0,
+                refused =
+                    0;  ///< thrown away: came twice; are of no release that is due, or malformed
+  std::uint64_t other_runs = 0;
+};
+
 /// Jobs that started before their planned start (runtime/early_start.h), and by how much together.
 struct EarlyStartReport {
   bool on = false;  ///< it may happen in this run
@@ -96,6 +111,7 @@ struct RunReport {
   std::vector<XNodeReport> xnodes;  ///< those with limits
   Account account;                  ///< chains, claims and whether they were kept
   EarlyStartReport early_starts;
+  std::vector<CrossingReport> crossings;      ///< of one host's part
   std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time

@@ -99,14 +99,22 @@ void fields(Io io, T& x) {
      "chain", x.chain);
 }
 
+template <class Io, Is<CrossingReport> T>
+void fields(Io io, T& x) {
+  io("xnode", x.xnode, "from", x.from, "to", x.to, "x_us", x.x_us, "messages", x.messages,
+     "longest_us", x.longest_us, "lost", x.lost, "late", x.late, "latest_us", x.latest_us, "twice",
+     x.twice, "refused", x.refused, "other_runs", x.other_runs);
+}
+
 template <class Io, Is<RunReport> T>
 void fields(Io io, T& x) {
-  io("complete", x.complete, "note", x.note, "releases", x.releases, "num_releases", x.num_releases,
-     "lost_releases", x.lost_releases, "latencies_us", x.latencies_us, "modules", x.modules,
-     "xnodes", x.xnodes, "account", x.account, "early_starts", x.early_starts, "preemptions",
-     x.preemptions, "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses",
-     x.deadline_misses, "scenarios", x.scenarios, "switches", x.switches, "num_switches",
-     x.num_switches, "several_rates", x.several_rates, "recording_error", x.recording_error);
+  io("crossings", x.crossings, "complete", x.complete, "note", x.note, "releases", x.releases,
+     "num_releases", x.num_releases, "lost_releases", x.lost_releases, "latencies_us",
+     x.latencies_us, "modules", x.modules, "xnodes", x.xnodes, "account", x.account, "early_starts",
+     x.early_starts, "preemptions", x.preemptions, "lost_coordinators", x.lost_coordinators, "died",
+     x.died, "deadline_misses", x.deadline_misses, "scenarios", x.scenarios, "switches", x.switches,
+     "num_switches", x.num_switches, "several_rates", x.several_rates, "recording_error",
+     x.recording_error);
 }
 
 template <class Io, Is<Error> T>
@@ -145,14 +153,19 @@ void fields(Io io, T& x) {
   io("modules", x.modules, "hub", x.hub, "hub_fd", x.hub_fd);
 }
 
+template <class Io, Is<HostPart> T>
+void fields(Io io, T& x) {
+  io("name", x.name, "run", x.run);
+}
+
 /// All but the formats of lib/model, which travel as the texts that their own readers check.
 template <class Io, Is<Session> T>
 void fields(Io io, T& x) {
   io("mode", x.mode, "scheduling", x.scheduling, "cpu", x.cpu, "presence", x.presence,
      "emulator_modules", x.emulator_modules, "coordinators", x.coordinators, "own_sockets",
      x.own_sockets, "releases", x.releases, "profile", x.profile, "load", x.load, "parts", x.parts,
-     "answer_fd", x.answer_fd, "trace_fd", x.trace_fd, "board_fd", x.board_fd, "trace_keep_s",
-     x.trace_keep_s);
+     "host", x.host, "answer_fd", x.answer_fd, "trace_fd", x.trace_fd, "board_fd", x.board_fd,
+     "trace_keep_s", x.trace_keep_s);
 }
 
 constexpr Mode last(Mode) {
@@ -435,6 +448,8 @@ Result<Session> parse_session(const std::string& text) {
   }
   XAUTO_ASSIGN(Policy policy, parse_policy(member("policy"), "session", s.app, s.platform));
   s.take_policy(std::move(policy));
+  if (s.host.there() && (!s.keys || s.platform.find_host(s.host.name) < 0))
+    return malformed("session: host");
   return s;
 }
 

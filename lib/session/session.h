@@ -101,6 +101,13 @@ struct ProcessPlan {
   int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
 };
 
+/// One host's part of an app over several computers (lib/parts/).
+struct HostPart {
+  std::string name;       ///< of Platform::hosts; empty: all XPUs are here
+  std::uint64_t run = 0;  ///< what the parts of this run have in common, and no other run has
+  [[nodiscard]] bool there() const { return !name.empty(); }
+};
+
 struct Session {
   Mode mode = Mode::kRun;
   AppSpec app;  ///< kRun
@@ -124,6 +131,7 @@ struct Session {
   ProfileRequest profile;
   LoadRequest load;
   ProcessPlan parts;
+  HostPart host;
   int answer_fd = -1;       ///< memfd for the Answer
   int trace_fd = -1;        ///< memfd for the trace; -1: none
   int board_fd = -1;        ///< memfd for the board (board.h); -1: nobody looks
@@ -165,6 +173,11 @@ struct Session {
   }
   [[nodiscard]] Presence presence_of(int xpu) const {
     return presence.empty() ? Presence::kReal : presence[static_cast<std::size_t>(xpu)];
+  }
+  /// Another host has that XPU.
+  [[nodiscard]] bool elsewhere(std::size_t xpu) const {
+    return host.there() &&
+           platform.hosts[static_cast<std::size_t>(platform.xpus[xpu].host)].name != host.name;
   }
   [[nodiscard]] bool emulated(int xpu) const { return presence_of(xpu) == Presence::kEmulated; }
   [[nodiscard]] bool emulates() const {  ///< there is an emulator

@@ -31,10 +31,10 @@ class Bridge {
   /// wait for the bridge's own thread, then the oldest is lost for the outside.
   [[nodiscard]] virtual Result<std::shared_ptr<Publisher>> publish(const detail::TopicSpec& topic,
                                                                    const TopicQos& qos) = 0;
-  /// `arrived` is rung by a thread of the middleware. The origin of what it takes is the message's
+  /// `arrived` is rung by a thread of the middleware. The newest `keeps` messages wait to be taken. The origin of what it takes is the message's
   /// stamp, if it has a credible one.
   [[nodiscard]] virtual Result<std::shared_ptr<Subscriber>> subscribe(
-      const detail::TopicSpec& topic, const TopicQos& qos, Doorbell& arrived) = 0;
+      const detail::TopicSpec& topic, const TopicQos& qos, Doorbell& arrived, int keeps = 1) = 0;
   /// Sends what waits, for at most a second, and ends the threads.
   virtual void stop() = 0;
   /// What went wrong since the start, for the run's report; a line each.

@@ -35,6 +35,8 @@ class Publisher : public detail::MessageMemory {
   [[nodiscard]] virtual std::uint64_t next_sequence() const = 0;
   /// Messages that could not be sent to anybody.
   [[nodiscard]] virtual std::uint64_t unsent() const = 0;
+  /// How many readers it has found, of a transport that finds them.
+  [[nodiscard]] virtual std::size_t readers() const { return 0; }
 };
 
 /// The reading end of one process. Threads: `take` from one; the messages from any.
@@ -52,6 +54,8 @@ class Subscriber {
   [[nodiscard]] virtual bool empty() const = 0;
   /// Messages that came too fast for this reader, or were not acceptable.
   [[nodiscard]] virtual std::uint64_t lost() const = 0;
+  /// How many publishers it has found, of a transport that finds them.
+  [[nodiscard]] virtual std::size_t publishers() const { return 0; }
   /// Messages that a newer one has replaced before they were taken, where only the newest waits.
   [[nodiscard]] virtual std::uint64_t replaced() const { return 0; }
 };

@@ -14,6 +14,7 @@
 #include "xauto/command.h"
 #include "xauto/gate.h"
 #include "xauto/outputs.h"
+#include "xauto/parts.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
 #include "xauto/tables.h"
@@ -118,8 +119,11 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
       XAUTO_TRY(check_platform(flags, policy.platform));
       run.take(std::move(policy));
     }
-    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
-                                    flags.policy_path));
+    if (flags.part.empty())
+      XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
+                                      flags.policy_path));
+    else
+      XAUTO_TRY(check_part(flags, run));
     warn_of_untrue_claims(flags, run);
     run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
   }
@@ -176,6 +180,19 @@ void add_run(Commands& commands) {
                            "xauto run --app app.json --policy policy.json -- build/bin/driving",
                            [flags](const Options& options) { return run(*flags, options); });
   flags->declare(verb);
+  Argument part = verb.option(
+      "--part", flags->part,
+      "run only what the policy has on this host of the platform; the other hosts run their parts "
+      "(docs/several-machines.md)");
+  verb.option("--meet", flags->meet,
+              "ADDRESS:PORT where the parts meet: the first of the platform's hosts with XNodes "
+              "listens there")
+      .needs("--part");
+  part.needs("--meet");
+  verb.duration("--meet-limit", flags->meet_limit_s, Unit::kSeconds, 1, 86'400,
+                "with --part: how long to wait for the others")
+      .needs("--part")
+      .shown();
   verb.option(
       "--policy", flags->policy_path,
       "policy.json from `xauto solve`, or tables.json: each release gets one of its policies");

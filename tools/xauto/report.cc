@@ -149,6 +149,18 @@ std::string limits_table(const PolicyRun& run, const std::string& who) {
   return out;
 }
 
+/// What came from other hosts, each beside its X.
+std::string crossings_table(const runtime::RunReport& report) {
+  if (report.crossings.empty()) return {};
+  std::string out = "\n" + row_of("between hosts", kNameColumns) +
+                    fmt::format("{:>9}{:>9}{:>7}{:>8}{:>8}\n", "longest", "X", "lost", "late", "n");
+  for (const runtime::CrossingReport& of : report.crossings)
+    out += row_of(of.xnode + " from " + of.from + " to " + of.to, kNameColumns) +
+           fmt::format("{:>9}{:>9}{:>7}{:>8}{:>8}\n", in_ms(of.longest_us, of.messages),
+                       in_ms(of.x_us, 1), of.lost, of.late, of.messages);
+  return out + "\n  Longest: from the sender's key to when it was there, by the reader's clock.\n";
+}
+
 std::string losses_of(const PolicyRun& run) {
   std::string out;
   for (const runtime::ModuleReport& m : run.report.modules) {
@@ -404,6 +416,19 @@ Json run_json(const RunFlags& flags, const PolicyRun& run, const PolicyRun* base
                                 {"suspend_us", of.suspend_us},
                                 {"resume_us", of.resume_us},
                                 {"preempt_us", of.preempt_us}});
+  for (const runtime::CrossingReport& of : run.report.crossings)
+    j["crossings"].push_back({{"xnode", of.xnode},
+                              {"from", of.from},
+                              {"to", of.to},
+                              {"x_us", of.x_us},
+                              {"messages", of.messages},
+                              {"longest_us", of.longest_us},
+                              {"lost", of.lost},
+                              {"late", of.late},
+                              {"latest_us", of.latest_us},
+                              {"twice", of.twice},
+                              {"refused", of.refused},
+                              {"other_runs", of.other_runs}});
   if (const runtime::EarlyStartReport& early = run.report.early_starts; early.on)
     j["early_starts"] = {{"jobs", early.jobs}, {"sum_us", early.sum_us}};
   Json notes = Json::array();
@@ -462,6 +487,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
+    out += crossings_table(run.report);
     if (!by_chains) out += chains_table(run);
     if (!flags.deployment_path.empty() || run.report.several_rates)
       out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");

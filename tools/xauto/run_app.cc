@@ -24,6 +24,7 @@
 
 #include "xauto/command.h"
 #include "xauto/counts.h"
+#include "xauto/parts.h"
 
 namespace xauto::cli {
 namespace {
@@ -137,6 +138,7 @@ Status RunFlags::prepare(const std::string& policy_path) {
   XAUTO_ASSIGN(app, load_app(app_path));
   XAUTO_ASSIGN(spec, load_platform_of(policy_path, platform));
   XAUTO_TRY(validate_on(app, spec));
+  if (!part.empty()) XAUTO_TRY(put_first(spec, part));
   if (emulator_modules) {
     if (!kernel::module_is_loaded())
       return fail(
@@ -144,7 +146,11 @@ Status RunFlags::prepare(const std::string& policy_path) {
           "as root: insmod xauto.ko xauto_nvgpu_emu.ko xauto_nvdla_emu.ko (docs/kernel.md)");
     emulation.all_asked = true;
   }
-  XAUTO_ASSIGN(presence, emulation.decide(spec, &app));
+  if (part.empty()) {
+    XAUTO_ASSIGN(presence, emulation.decide(spec, &app));
+  } else {
+    XAUTO_ASSIGN(presence, presence_of_part(*this));
+  }
   XAUTO_TRY(prepare_script());
   return prepare_deployment();
 }
@@ -271,7 +277,8 @@ Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& 
   const bool asked = !flags.system.empty() && flags.system != "off";
   if (asked && run.scheduling != runtime::Scheduling::kXAuto)
     return fail(ErrorCode::kInvalid, "is for a run that XAuto schedules", "--system");
-  if (flags.system == "off" || run.scheduling != runtime::Scheduling::kXAuto ||
+  if (flags.system == "off" || !flags.part.empty() ||
+      run.scheduling != runtime::Scheduling::kXAuto ||
       (!asked && !std::filesystem::exists(path, error)))
     return {};
   session.cpu.regulated = launch::is_regulated(path);
@@ -302,6 +309,18 @@ Status join_machine(const RunFlags& flags, PolicyRun& run, launch::Supervision& 
   return {};
 }
 
+runtime::ReleaseRequest releases_of(const RunFlags& flags) {
+  return {.activations = flags.activations,
+          .duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6)),
+          .lockstep = flags.lockstep,
+          .period_us = flags.period_us,
+          .input = flags.input,
+          .input_rate = flags.input_rate,
+          .input_max_gap_us = static_cast<std::int64_t>(std::llround(flags.input_max_gap_s * 1e6)),
+          .record = flags.record_path,
+          .record_outputs = flags.record_outputs};
+}
+
 }  // namespace
 
 Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop, Dump dump) {
@@ -322,16 +341,13 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   XAUTO_TRY(join_machine(flags, run, request));
   if (run.scheduling == runtime::Scheduling::kXAuto) warn_of_others(request);
   session.emulator_modules = flags.emulator_modules;
-  session.releases.activations = flags.activations;
-  session.releases.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));
-  session.releases.lockstep = flags.lockstep;
-  session.releases.period_us = flags.period_us;
-  session.releases.input = flags.input;
-  session.releases.input_rate = flags.input_rate;
-  session.releases.input_max_gap_us =
-      static_cast<std::int64_t>(std::llround(flags.input_max_gap_s * 1e6));
-  session.releases.record = flags.record_path;
-  session.releases.record_outputs = flags.record_outputs;
+  std::unique_ptr<launch::Meeting> meeting;
+  if (!flags.part.empty()) {
+    XAUTO_ASSIGN(meeting, meet(flags, run, stop));
+    session.host = {flags.part, meeting->run()};
+    request.meeting = meeting.get();
+  }
+  session.releases = releases_of(flags);
   session.deployment = flags.deployment;
   session.parts.modules = flags.deployment.processes(flags.app);
   request.emulation = flags.script;
@@ -369,6 +385,10 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
                                 "; what is predicted knows nothing of it");
   progress.finish();
   XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
+  if (meeting)
+    join_reports(*meeting, stop != nullptr && stop->load(), run);
+  else
+    note_one_machine(flags, run);
   runtime::Account& account = run.report.account;
   account.add("daemon_death", run.outcome.dead_daemons.size(), run.outcome.dead_daemons);
   if (!run.untrue.empty())

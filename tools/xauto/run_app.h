@@ -57,6 +57,8 @@ struct RunFlags {
   std::vector<std::string> fail_on;  ///< of `run`: see gate.h
   double trace_keep_s = 30;
   std::vector<std::string> command;
+  std::string part, meet;  ///< of `run`: see parts.h; empty: the whole app is here
+  double meet_limit_s = 60;
 
   void declare(Verb verb);
   /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.

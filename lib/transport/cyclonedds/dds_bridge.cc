@@ -6,7 +6,7 @@
 //   reader:    a thread of Cyclone DDS ─► the newest message waits, the doorbell is rung ─► take()
 //
 // Nothing from outside can hold up the app, or make it store more than one message per topic (and
-// reader: subscriber.h), none of which is larger than the deployment's largest.
+// reader: subscriber.h; of what crosses between hosts a few), none of which is larger than the largest of the app.
 //
 // "xauto/dds" also makes the second readers: Cyclone's own threads must not (subscriber.h).
 #include <algorithm>
@@ -158,7 +158,8 @@ class DdsBridge final : public Bridge {
   }
 
   Result<std::shared_ptr<Subscriber>> subscribe(const detail::TopicSpec& spec,
-                                                const TopicQos& asked, Doorbell& arrived) override {
+                                                const TopicQos& asked, Doorbell& arrived,
+                                                int keeps) override {
     Wire wire(spec);
     auto replaced = std::make_shared<std::atomic<std::uint64_t>>(0);
     XAUTO_ASSIGN(const Made topic, make_topic(wire, replaced));
@@ -167,12 +168,12 @@ class DdsBridge final : public Bridge {
     TopicQos resolved = asked.resolved();
     const bool hears_all = !resolved.reliability;
     resolved.reliability = resolved.reliability.value_or(Reliability::kReliable);
-    const dds_entity_t reader = make_reader(topic.entity, resolved, subscriber, hears_all);
+    const dds_entity_t reader = make_reader(topic.entity, resolved, subscriber, hears_all, keeps);
     if (reader < 0) return failed("reader", spec, reader);
     if (hears_all) {
       resolved.reliability = Reliability::kBestEffort;
       const Guard lock(mutex_);
-      seconds_.push_back({subscriber, topic.entity, resolved});
+      seconds_.push_back({subscriber, topic.entity, resolved, keeps});
     }
     return subscriber;
   }
@@ -229,8 +230,9 @@ class DdsBridge final : public Bridge {
 
   /// Below 0: Cyclone's error. `hears_all`: the subscriber wants to know whom this one does not hear.
   dds_entity_t make_reader(dds_entity_t topic, const TopicQos& asked,
-                           const std::shared_ptr<DdsSubscriber>& subscriber, bool hears_all) {
-    const Qos qos(asked, Reliability::kReliable, 1);
+                           const std::shared_ptr<DdsSubscriber>& subscriber, bool hears_all,
+                           int keeps) {
+    const Qos qos(asked, Reliability::kReliable, keeps);
     dds_listener_t* listener = dds_create_listener(subscriber.get());
     dds_lset_data_available(listener, &DdsSubscriber::on_data);
     if (hears_all) dds_lset_requested_incompatible_qos(listener, &DdsSubscriber::on_misfit);
@@ -251,7 +253,7 @@ class DdsBridge final : public Bridge {
         if (second.subscriber->takes_wish()) wanted.push_back(second);
     }
     for (const Second& second : wanted)
-      if (make_reader(second.topic, second.qos, second.subscriber, false) < 0)
+      if (make_reader(second.topic, second.qos, second.subscriber, false, second.keeps) < 0)
         log::error("topic '{}': DDS has no second reader: publishers of best effort are not heard",
                    second.subscriber->topic());
   }
@@ -294,6 +296,7 @@ class DdsBridge final : public Bridge {
     std::shared_ptr<DdsSubscriber> subscriber;
     dds_entity_t topic = 0;
     TopicQos qos;
+    int keeps = 1;
   };
   std::vector<Second> seconds_ XAUTO_GUARDED_BY(mutex_);
   /// By their readers.

@@ -51,6 +51,12 @@ class DdsPublisher final : public Publisher {
   [[nodiscard]] std::uint64_t next_sequence() const override { return next_sequence_.load(); }
   [[nodiscard]] std::uint64_t unsent() const override { return dropped_.load() + refused_.load(); }
 
+  [[nodiscard]] std::size_t readers() const override {
+    dds_publication_matched_status_t matched{};
+    const bool told = dds_get_publication_matched_status(writer_, &matched) == DDS_RETCODE_OK;
+    return told ? matched.current_count : 0;
+  }
+
   // Of the bridge's thread.
   [[nodiscard]] bool empty() const {
     const Guard lock(mutex_);

@@ -59,6 +59,16 @@ class DdsSubscriber final : public Subscriber {
   [[nodiscard]] std::uint64_t lost() const override { return refused_.load(); }
   [[nodiscard]] std::uint64_t replaced() const override { return replaced_->load(); }
 
+  [[nodiscard]] std::size_t publishers() const override {
+    std::size_t all = 0;
+    for (std::size_t r = 0; r < num_readers_.load(); ++r) {
+      dds_subscription_matched_status_t matched{};
+      if (dds_get_subscription_matched_status(readers_[r], &matched) == DDS_RETCODE_OK)
+        all += matched.current_count;
+    }
+    return all;
+  }
+
   void note(std::vector<std::string>& notes) const;
   [[nodiscard]] const std::string& topic() const { return wire_.spec().name; }
 

@@ -33,16 +33,17 @@ const std::map<std::string, Names>& allowed() {
       {"lib/processes", {"model", "session", "graph", "transport"}},
       {"lib/profile", {"model", "record", "xpu", "session", "graph", "processes"}},
       {"lib/grid", {"model", "trace", "session", "graph", "processes"}},
+      {"lib/parts", {"model", "transport", "session", "graph", "processes", "grid"}},
       {"lib/runtime",
        {"model", "trace", "coord", "transport", "xpu", "session", "graph", "processes", "grid",
-        "uapi"}},
+        "parts", "uapi"}},
       {"lib/account", {"model", "session", "graph", "processes", "grid", "uapi"}},
       {"lib/tables", {"model", "trace", "session", "processes", "grid", "account", "uapi"}},
       {"lib/releases",
-       {"model", "record", "session", "graph", "processes", "grid", "runtime", "account", "tables",
-        "uapi"}},
+       {"model", "record", "session", "graph", "processes", "grid", "parts", "runtime", "account",
+        "tables", "uapi"}},
       {"lib/engine",
-       {"model", "trace", "transport", "session", "graph", "processes", "grid", "runtime",
+       {"model", "trace", "transport", "session", "graph", "processes", "grid", "parts", "runtime",
         "account", "releases", "uapi"}},
       {"lib/launch",
        {"model", "trace", "emu", "coord", "kernel", "xpu", "session", "processes", "transport",
@@ -58,12 +59,11 @@ const std::map<std::string, Names>& allowed() {
   return table;
 }
 
-const Names kParts = {"base",    "model",     "trace",     "record",  "emu",      "coord",
-                      "session", "graph",     "processes", "profile", "grid",     "runtime",
-                      "account", "tables",    "releases",  "engine",  "launch",   "xpu",
-                      "import",  "transport", "kernel",    "app",     "solver",   "story",
-                      "xauto",   "uapi",      "tools",     "bench",   "examples", "tests",
-                      "lib",     "kmod",      "bpf",       "include"};
+const Names kParts = {"base",   "model",     "trace",   "record", "emu",     "coord",  "session",
+                      "graph",  "processes", "profile", "grid",   "runtime", "parts",  "account",
+                      "tables", "releases",  "engine",  "launch", "xpu",     "import", "transport",
+                      "kernel", "app",       "solver",  "story",  "xauto",   "uapi",   "tools",
+                      "bench",  "examples",  "tests",   "lib",    "kmod",    "bpf",    "include"};
 
 /// Foreign headers that take seconds to compile -> files that may include them.
 const std::map<std::string, Names>& expensive() {
