@@ -66,8 +66,8 @@ class Meeting {
   [[nodiscard]] Status open();
   [[nodiscard]] MeetingTable::Instant now() const;
   void serve();
-  void accept();
-  void hear(int connection);
+  void accept() XAUTO_REQUIRES(mutex_);
+  void hear(int connection) XAUTO_REQUIRES(mutex_);
   void carry_out(MeetingTable::Says says) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool wants_line() XAUTO_REQUIRES(mutex_);
   void seek(UniqueFd fresh) XAUTO_REQUIRES(mutex_);

@@ -849,8 +849,9 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
     std::cout << words_of(rare, app);
   }
   std::cout.flush();
-  write_policies(apps, platform, answer.policy, out.policies, outputs, !options.json);
+  // First: a policy that plans XPUs apart has none, and then nothing is written.
   XAUTO_TRY(write_demand(app, platform, answer.policy, out.demand, outputs));
+  write_policies(apps, platform, answer.policy, out.policies, outputs, !options.json);
   return outputs.status(late ? kAnswerIsNo : kDone);
 }
 
