@@ -5,6 +5,7 @@
 #include <cerrno>
 #include <cstddef>
 #include <cstdint>
+#include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <sstream>
@@ -115,15 +116,19 @@ Result<UniqueFd> connect_path(const std::string& path, int timeout_ms) {
 Result<UniqueFd> listen_path(const std::string& path, mode_t mode) {
   if (path.empty() || path.front() != '/')
     return fail(ErrorCode::kInvalid, "is no path of a socket: it begins with '/'", path);
+  // Who sees it there may connect, and may change its mode: it comes by its name when it is complete.
+  const std::string fresh = path + ".new";
   sockaddr_un name;
-  XAUTO_ASSIGN(const socklen_t length, fill(name, path));
+  XAUTO_ASSIGN(const socklen_t length, fill(name, fresh));
   struct stat status {};
-  if (lstat(path.c_str(), &status) == 0 && S_ISSOCK(status.st_mode)) unlink(path.c_str());
+  if (lstat(path.c_str(), &status) == 0 && !S_ISSOCK(status.st_mode))
+    return fail(ErrorCode::kIo, "cannot listen: a file that is no socket has this name", path);
+  if (lstat(fresh.c_str(), &status) == 0 && S_ISSOCK(status.st_mode)) unlink(fresh.c_str());
   UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), path);
-  // Before it listens nobody can connect, whatever its mode is by then.
   if (bind(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0 ||
-      chmod(path.c_str(), mode) != 0 || listen(socket.get(), 64) != 0)
+      chmod(fresh.c_str(), mode) != 0 || listen(socket.get(), 64) != 0 ||
+      rename(fresh.c_str(), path.c_str()) != 0)
     return fail(ErrorCode::kIo, errno_text("cannot listen"), path);
   return socket;
 }
