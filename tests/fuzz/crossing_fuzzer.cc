@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What comes from another host over DDS, which anybody on the network may send. Whatever comes: what is decoded is encoded to
-// the same bytes, no release is handed on twice or out of order, none later than its X, and nothing is stored without end.
+// the same bytes, no release is handed on twice or out of order, none that came after its X, and nothing is stored without end.
 #include <cstring>
+#include <map>
 
 #include "json_property.h"
 #include "parts/crossing_message.h"
@@ -30,10 +31,13 @@ void check_reader(std::span<const std::byte> bytes) {
   CrossingReader reader(rule, 3);
   std::uint64_t next = 3;
   std::int64_t now = 0;
+  std::map<std::uint64_t, std::int64_t> came;  // when: of what was in time
   const auto deliver = [&](const detail::Envelope& envelope) {
-    fuzz::require(envelope.sequence == next++, "each release once, in order");
-    fuzz::require(envelope.message == nullptr || now <= rule.by_ns(envelope.sequence),
-                  "none later than its X");
+    const std::uint64_t number = envelope.sequence;
+    fuzz::require(number == next++, "each release once, in order");
+    if (envelope.message == nullptr) return;
+    fuzz::require(came.contains(number) && came[number] <= rule.by_ns(number, envelope.urgent),
+                  "what is handed on was there by its X");
   };
   for (; bytes.size() >= 4; bytes = bytes.subspan(4)) {
     const auto byte = [&](std::size_t i) { return std::to_integer<std::uint64_t>(bytes[i]); };
@@ -46,8 +50,9 @@ void check_reader(std::span<const std::byte> bytes) {
     const std::int64_t nominal = byte(3) == 0    ? 7
                                  : byte(1) < 250 ? rule.releases.due_ns(number)
                                                  : 0;
-    (void)reader.arrive(tombstone ? number - std::min(number, byte(3)) : number, envelope, nominal,
-                        now);
+    if (reader.arrive(tombstone ? number - std::min(number, byte(3)) : number, envelope, nominal,
+                      now))
+      came.emplace(number, now);
     if (byte(2) % 3 != 0) reader.pass(now, deliver);
   }
   reader.end(rule.releases.due_ns(next));
