@@ -2,7 +2,6 @@
 #include "model/app.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <functional>
 #include <queue>
 #include <set>
@@ -10,6 +9,7 @@
 #include <tuple>
 #include <unordered_map>
 
+#include "base/fnv.h"
 #include "base/index.h"
 #include "base/utf8.h"
 #include "model/contention.h"
@@ -59,24 +59,6 @@ std::optional<std::size_t> second_of_two(const std::vector<std::pair<int, int>>&
       found = sorted[k].second;
   return found;
 }
-
-class Fnv {
- public:
-  void add(std::string_view text) {
-    for (const char c : text) step(static_cast<unsigned char>(c));
-    step(0);  // ends the field, so that ("ab", "c") and ("a", "bc") differ
-  }
-  void add(std::int64_t value) { add(std::to_string(value)); }
-  [[nodiscard]] std::string hex() const {
-    char text[17];
-    std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash_));
-    return text;
-  }
-
- private:
-  void step(unsigned char byte) { hash_ = (hash_ ^ byte) * 0x100000001b3u; }
-  std::uint64_t hash_ = 0xcbf29ce484222325u;
-};
 
 void add_wcets(Fnv& fnv, const std::map<std::string, std::int64_t, std::less<>>& wcet_us) {
   fnv.add(static_cast<std::int64_t>(wcet_us.size()));

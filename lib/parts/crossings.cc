@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include "base/clock.h"
+#include "base/fnv.h"
 #include "base/index.h"
 #include "base/log.h"
 #include "base/rt.h"
@@ -73,16 +74,11 @@ std::shared_ptr<const void> made_of(const detail::TopicSpec& spec,
   return nullptr;
 }
 
-/// FNV-1a: names of topics may have what DDS does not allow.
-std::uint64_t hash(std::string_view text) {
-  std::uint64_t h = 0xcbf29ce484222325;
-  for (const char c : text) h = (h ^ static_cast<unsigned char>(c)) * 0x100000001b3;
-  return h;
-}
-
 detail::TopicSpec on_dds(const detail::TopicSpec& spec, std::uint64_t run) {
+  Fnv name;  // names of topics may have what DDS does not allow
+  name.add(spec.name);
   detail::TopicSpec dds;
-  dds.name = fmt::format("xauto_part/r{:016x}/t{:016x}", run, hash(spec.name));
+  dds.name = fmt::format("xauto_part/r{:016x}/t{}", run, name.hex());
   dds.type_name = "xauto crossing";
   dds.encode = &encode_outgoing;
   dds.decode = &decode_incoming;

@@ -10,6 +10,7 @@
 #include <fmt/ranges.h>
 #include <sys/utsname.h>
 
+#include "base/fnv.h"
 #include "base/log.h"
 #include "model/hosts.h"
 #include "model/json.h"
@@ -26,25 +27,19 @@ Error not_with_part(const std::string& what, const std::string& why) {
           "leave it out, or run the whole app on one machine, without --part"};
 }
 
-/// FNV-1a, 64 bits: what differs by mistake differs here.
-std::string hash_of(const std::vector<std::string>& texts) {
-  std::uint64_t h = 0xcbf29ce484222325;
-  for (const std::string& text : texts) {
-    for (const char c : text) h = (h ^ static_cast<unsigned char>(c)) * 0x100000001b3;
-    h = (h ^ 0xff) * 0x100000001b3;
-  }
-  return fmt::format("{:016x}", h);
-}
-
 /// What all parts have to have in common. Messages are a machine's memory, or its Codec's.
 std::string hash_of(const RunFlags& flags, const PolicyRun& run) {
   utsname machine{};
   (void)uname(&machine);
   Platform platform = flags.spec;  // each part has its own XPUs first
   std::ranges::sort(platform.xpus, {}, &Xpu::id);
-  return hash_of({to_json(flags.app), to_json(platform), to_json(*run.keys, flags.app, flags.spec),
-                  XAUTO_VERSION, machine.machine,
-                  fmt::format("{} {}", flags.activations, flags.seconds)});
+  Fnv fnv;
+  for (const std::string& part :
+       {to_json(flags.app), to_json(platform), to_json(*run.keys, flags.app, flags.spec),
+        std::string(XAUTO_VERSION), std::string(machine.machine),
+        fmt::format("{} {}", flags.activations, flags.seconds)})
+    fnv.add(part);
+  return fnv.hex();
 }
 
 std::uint64_t any_number() {
