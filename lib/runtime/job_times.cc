@@ -88,13 +88,14 @@ std::int64_t JobTimes::end(const Placed& placed) {
   const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
   if (above_ != 0) on_.counts->above.end(std::exchange(above_, 0), now);
-  if (holds())
-    on_.counts->busy_ns.fetch_add(by_levels() ? own_ns(wall_ns, now) : wall_ns,
-                                  std::memory_order_relaxed);
+  const bool levels = by_levels();
+  const std::int64_t had_ns = levels ? own_ns(wall_ns, now) : wall_ns;
+  if (holds()) on_.counts->busy_ns.fetch_add(had_ns, std::memory_order_relaxed);
   if (on_.shared) on_.port->tell_had(watch_.since_ns(), now, wall_ns);
   if (!placed.limited) return without.core_ns;
-  const std::int64_t took_ns =
-      on_.on_thread ? on_core_ns(wall_ns, *placed.line, without) : own_ns(wall_ns, now);
+  const std::int64_t took_ns = on_.on_thread ? on_core_ns(wall_ns, *placed.line, without)
+                               : levels      ? had_ns
+                                             : own_ns(wall_ns, now);
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
   if (placed.watched) line.saw(took_ns, placed.table);
   line.jobs.fetch_add(1, std::memory_order_relaxed);
