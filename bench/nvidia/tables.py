@@ -57,7 +57,7 @@ def build():
     kernel = [SOURCE / "lib/kernel" / f"{name}.cc" for name in ("rm_queues", "queue_files", "kfd_queues", "i915_contexts")]
     sh("g++", *flags, HERE / "suspend.cc", *kernel, SOURCE / "lib/base/pi_mutex.cc", "-o", "suspend", "-lcuda", "-ldl", "-lpthread")
     sh("g++", *flags, HERE / "tables.cc", "-o", "tables", f"-L{BUILD}/lib", f"-Wl,-rpath,{BUILD}/lib", "-Wl,--allow-shlib-undefined",
-       "-lxauto", "-lcuda")
+       "-lxauto", "-lcuda", "-ldl")
 
 
 @contextlib.contextmanager

@@ -73,7 +73,8 @@ std::string MeetingTable::refusal(const Json& hello, const Line& line, Instant n
     return "'" + host + "' is no other host of the platform";
   if (text_of(hello, "hash") != set_up_.own.hash)
     return "'" + host +
-           "' has another app, platform, policy, build of XAuto, or number of releases than '" +
+           "' has another app, platform, policy, version of XAuto, kind of CPU, or number of "
+           "releases than '" +
            set_up_.own.host + "': give all parts the same files and flags";
   if (part->second.stage != PartStage::kAway) return "a part of '" + host + "' is there already";
   if (hello.at("tai_offset_s").integer() != set_up_.own.tai_offset_s)
@@ -91,7 +92,7 @@ std::string MeetingTable::refusal(const Json& hello, const Line& line, Instant n
     return fmt::format(
         "the clocks of '{}' and '{}' are at least {:.3f} ms apart, and no message may take so "
         "long: discipline them (docs/several-machines.md)",
-        host, set_up_.own.host, static_cast<double>(apart / 2) * 1e-6);
+        host, set_up_.own.host, static_cast<double>(apart) / 2e6);
   const std::uint64_t run = static_cast<std::uint64_t>(hello.at("run").integer().value_or(0));
   if (run != 0 && run_ != 0 && run != run_) return "'" + host + "' runs already, in another run";
   return {};

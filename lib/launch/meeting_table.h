@@ -62,7 +62,7 @@ class FrameReader {
 /// What all parts have to have in common, and what one of them is.
 struct PartIdentity {
   std::string host;
-  std::string hash;               ///< of app, platform, policy, build and releases
+  std::string hash;  ///< of app, platform, policy, version, kind of machine and releases
   std::int64_t tai_offset_s = 0;  ///< of the kernel: CLOCK_TAI less CLOCK_REALTIME
 };
 

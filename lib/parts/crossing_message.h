@@ -3,8 +3,8 @@
 //
 //   Head │ origins, `num_origins` of 8 bytes │ payload
 //
-// Instants are nanoseconds after the run's start, which each part reads on its own clock. Parts are of one build for one
-// kind of machine (the meeting asks), so numbers lie as they do in memory.
+// Instants are nanoseconds after the run's start, which each part reads on its own clock. Parts are of one version for
+// one kind of machine (the meeting asks), and of one program (nobody asks), so numbers lie as they do in memory.
 #pragma once
 
 #include <cstddef>
