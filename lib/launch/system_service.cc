@@ -11,7 +11,6 @@
 #include <fcntl.h>
 #include <sys/random.h>
 #include <sys/socket.h>
-#include <sys/un.h>
 
 #include "base/clock.h"
 #include "base/core_levels.h"
@@ -399,16 +398,12 @@ bool SystemService::may_suspend_foreign(const JoinXpu& xpu) const {
 void SystemService::suspend_foreign(const JoinXpu& xpu) {
   const bool gpu = std::string(xpu.type) == "gpu";
   const auto room = room_for(1);
-  sockaddr_un self{};
-  socklen_t bytes = sizeof self;
-  if (!room ||
-      getsockname(options_.listener.get(), reinterpret_cast<sockaddr*>(&self), &bytes) != 0)
-    return;
+  if (!room) return;
   Shared& shared = shared_.at(xpu.hardware);
   shared.foreign_lease = {.number = ++last_lease_, .first_xnode = *room, .num_xnodes = 1};
   if (getrandom(&shared.foreign_lease.secret, sizeof shared.foreign_lease.secret, 0) < 0) return;
   const coord::Door door{
-      .path = self.sun_path, .name = xpu.hardware, .lease = shared.foreign_lease};
+      .path = options_.path, .name = xpu.hardware, .lease = shared.foreign_lease};
   auto work =
       ForeignWork::start({.door = door.to_text(),
                           .type = gpu ? kernel::QueueType::kGpuTsg : kernel::QueueType::kDla,

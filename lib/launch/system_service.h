@@ -43,6 +43,7 @@ using Slack = std::function<Result<int>(const std::vector<Demand>& demands)>;
 struct SystemOptions {
   std::string bin;    ///< folder with xauto-coordinator
   UniqueFd listener;  ///< listens
+  std::string path;   ///< where: what of the service itself comes over its socket asks there
   Admission admission;
   Slack slack = {};
   Trust trust = {};

@@ -6,6 +6,8 @@
 #include <string>
 #include <utility>
 
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include "base/daemon.h"
@@ -25,8 +27,8 @@ int complain(const xauto::Error& error) {
   return error.code == xauto::ErrorCode::kInvalid ? 2 : 1;
 }
 
-/// As systemd hands it over; else one of our own.
-xauto::Result<xauto::UniqueFd> listener(const std::string& path) {
+/// As systemd hands it over, and then `path` becomes that one's; else one of our own.
+xauto::Result<xauto::UniqueFd> listener(std::string& path) {
   const char* pid = std::getenv("LISTEN_PID");
   const char* count = std::getenv("LISTEN_FDS");
   const bool passed = pid != nullptr && count != nullptr && std::to_string(getpid()) == pid &&
@@ -35,6 +37,12 @@ xauto::Result<xauto::UniqueFd> listener(const std::string& path) {
     // Coordinators are no business of systemd's.
     unsetenv("LISTEN_PID");
     unsetenv("LISTEN_FDS");
+    sockaddr_un name{};
+    socklen_t bytes = sizeof name;
+    if (getsockname(kFirstPassed, reinterpret_cast<sockaddr*>(&name), &bytes) != 0)
+      return xauto::fail(xauto::ErrorCode::kInvalid,
+                         "the descriptor that systemd passed is no socket", "LISTEN_FDS");
+    path = name.sun_path;
     return xauto::UniqueFd(kFirstPassed);
   }
   return xauto::listen_path(path, 0660);
@@ -69,6 +77,7 @@ int main(int argc, char** argv) {
   if (!socket) return complain(socket.error());
   xauto::launch::SystemService service({.bin = xauto::program_directory(),
                                         .listener = std::move(*socket),
+                                        .path = path,
                                         .admission = xauto::solver::keys::check_together,
                                         .slack = xauto::solver::keys::slack_together,
                                         .trust = std::move(*trust),
