@@ -743,10 +743,11 @@ void clusters() {
   }
   const int last = static_cast<int>(of.size()) - 1;
   const auto cluster = [&](int cpu) { return cpu < 0 ? -1 : of[static_cast<std::size_t>(cpu)]; };
+  pin(0);  // this thread wakes the XNode: on the idle CPU of the other's cluster it would not be idle
   World world(1, last);
   world.load();
   std::atomic<bool> stop{false}, busy{false};
-  std::atomic<int> where{-1}, tid{0};
+  std::atomic<int> where{-1}, moved_to{-1}, tid{0};  // moved_to: first, from `last`
   int lost = 0, near = 0;
   {
     Waiter waiter(world, 0, [&](const kernel::ThreadSlot&) {
@@ -756,7 +757,12 @@ void clusters() {
     std::thread ordinary([&] {
       tid = gettid();
       be_ordinary(last);
-      while (!stop) where = sched_getcpu();
+      while (!stop) {
+        const int now = sched_getcpu();
+        if (int none = -1; now != last && where == last)
+          moved_to.compare_exchange_strong(none, now);
+        where = now;
+      }
     });
     const auto may_use = [&](int from, int to) {
       cpu_set_t set;
@@ -769,13 +775,15 @@ void clusters() {
     for (std::uint32_t i = 0; i < kRounds; ++i) {
       may_use(last, last);
       wait_for([&] { return where == last; });
+      moved_to = -1;
       may_use(0, last);
       busy = false;
       waiter.submit(0, i + 1);
-      wait_for([&] { return busy && (where != last || waiter.done() == i + 1); });
-      const int to = where;
-      lost += to != last;
-      near += to != last && cluster(to) == cluster(last);
+      wait_for([&] { return busy && (moved_to >= 0 || waiter.done() == i + 1); });
+      const int to = moved_to;
+      lost += to >= 0;
+      near += to >= 0 && cluster(to) == cluster(last);
+      if (to >= 0 && cluster(to) != cluster(last)) ksft_print_msg("round %u: to CPU %d\n", i, to);
       wait_for([&] { return waiter.done() == i + 1; });
     }
     stop = true;
