@@ -103,7 +103,8 @@ class Backends(unittest.TestCase):
                 if driver != "i915":  # suspends nothing
                     cost, = run["preemptions"]
                     self.assertEqual((cost["xpu"], cost["preempt_us"]), ("gpu0", 100))
-                    self.assertGreater(cost["suspensions"], 4)
+                    # The driver counts queues, two of a context; the last suspension may have none that resumes it.
+                    self.assertGreaterEqual(cost["suspensions"], 4)
                     self.assertEqual(any("preempt_us" in line for line in run["claims"]["broken"]),
                                      cost["suspend_us"] + cost["resume_us"] > 100)
                 seen = {a["kind"] for a in run["claims"]["assumptions"]}
