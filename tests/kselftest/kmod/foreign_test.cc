@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Work of a process that knows nothing of XAuto, on a GPU that the machine's service hands out: suspended while a job has the
-// GPU, and whoever dies at any moment, nothing stays suspended. The service and its coordinators are the real ones.
+// Work of a process that knows nothing of XAuto, on a GPU or a DLA that the machine's service hands out: suspended while a job
+// has it, and whoever dies at any moment, nothing stays suspended. The service and its coordinators are the real ones.
 #include <csignal>
 #include <cstring>
 #include <filesystem>
@@ -65,25 +65,30 @@ void serve() {
   _exit(9);
 }
 
-/// A stranger, in a program of its own, which inherits no queue: a TSG that always has something to do.
-void stranger_program() {
-  execl("/proc/self/exe", "foreign_test", "compute", nullptr);
+xauto::Result<DriverQueue> open_queue(const std::string& hardware) {
+  return hardware == "gpu0" ? DriverQueue::open_gpu()
+                            : DriverQueue::open_dla(hardware.back() - '0');
+}
+
+/// A stranger, in a program of its own, which inherits no queue: one there that always has something to do.
+[[noreturn]] void stranger_program(const char* hardware = "gpu0") {
+  execl("/proc/self/exe", "foreign_test", hardware, nullptr);
   _exit(9);
 }
-[[noreturn]] void compute() {
-  auto tsg = DriverQueue::open_gpu();
-  if (!tsg) _exit(2);
+[[noreturn]] void compute(const std::string& hardware) {
+  auto queue = open_queue(hardware);
+  if (!queue) _exit(2);
   for (;;) {
-    (void)tsg->submit(std::chrono::milliseconds(20));
-    (void)tsg->wait(1000);
+    (void)queue->submit(std::chrono::milliseconds(20));
+    (void)queue->wait(1000);
   }
 }
 
-std::int64_t told(const char* what) {
+std::int64_t told(const char* what, const char* hardware = "gpu0") {
   const auto machine = xauto::launch::ask_who_is_there(kSocket);
   if (!machine) return -1;
   for (const Json& coordinator : machine->at("coordinators").elements())
-    if (coordinator.at("xpu").text() == "gpu0")
+    if (coordinator.at("xpu").text() == hardware)
       return coordinator.at("foreign").at(what).integer().value_or(-1);
   return -1;
 }
@@ -95,15 +100,15 @@ pid_t coordinator() {
       machine->at("coordinators").elements()[0].at("pid").integer().value_or(0));
 }
 
-/// A run that has joined for the GPU.
+/// A run that has joined for one XPU.
 struct Run {
   std::optional<SystemLease> lease;
   std::unique_ptr<Port> port;
 
-  static std::optional<Run> join() {
+  static std::optional<Run> join(const std::string& hardware = "gpu0") {
     xauto::Demand demand;
     xauto::DemandOnXpu& on = demand.xpus.emplace_back();
-    on.xpu = {"gpu0", {}, true, 300};
+    on.xpu = {hardware, {}, true, 300};
     on.sequences.push_back({.period = 10'000, .jobs = {{.key = 10'000, .work = 2'000}}});
     xauto::launch::LeaseRequest request{.path = kSocket,
                                         .app = "certified",
@@ -111,9 +116,10 @@ struct Run {
                                         .xpus = {},
                                         .demand = to_json(demand)};
     xauto::launch::JoinXpu& xpu = request.xpus.emplace_back();
-    std::strcpy(xpu.id, "gpu0");
-    std::strcpy(xpu.hardware, "gpu0");
-    std::strcpy(xpu.type, "gpu");
+    std::strcpy(xpu.id, hardware.c_str());
+    std::strcpy(xpu.hardware, hardware.c_str());
+    std::strcpy(xpu.type, hardware.substr(0, 3).c_str());
+    xpu.instance = hardware.back() - '0';
     xpu.preempt_us = 300;
     Run run;
     auto lease = SystemLease::ask(request);
@@ -122,7 +128,7 @@ struct Run {
       return std::nullopt;
     }
     run.lease.emplace(std::move(*lease));
-    auto port = Port::connect(run.lease->address("gpu0"), "worker", {0}, {});
+    auto port = Port::connect(run.lease->address(hardware), "worker", {0}, {});
     if (!port) {
       ksft_print_msg("%s\n", port.error().to_string().c_str());
       return std::nullopt;
@@ -145,7 +151,7 @@ bool nothing_suspended() {
 }
 
 void keeps_off() {
-  const Child service(serve), stranger(stranger_program);
+  const Child service(serve), stranger([] { stranger_program(); });
   if (!eventually([] { return std::filesystem::exists(kSocket); }))
     ksft_exit_fail_msg("no service\n");
   auto run = Run::join();
@@ -175,7 +181,7 @@ void keeps_off() {
       static_cast<long long>(told("suspensions")), static_cast<long long>(told("not_kept_off")));
   // One that begins while a job has the GPU may have run unseen.
   run->start(1000);
-  Child late_comer(stranger_program);
+  Child late_comer([] { stranger_program(); });
   const bool seen = eventually([] { return guest::suspended() == 2; });
   ksft_test_result(seen && told("not_kept_off") == 1,
                    "one that comes beside a job is suspended, and counted: %lld\n",
@@ -191,6 +197,34 @@ void keeps_off() {
   late_comer.end();
   ksft_test_result(eventually([] { return told("queues") == 1; }) && nothing_suspended(),
                    "one that goes is forgotten\n");
+}
+
+/// A DLA's queue is told by its instance; the other DLA is nobody's business.
+void keeps_off_one_dla() {
+  std::filesystem::remove(kSocket);
+  const Child service(serve), stranger([] { stranger_program("dla1"); }),
+      elsewhere([] { stranger_program("dla0"); });
+  (void)eventually([] { return std::filesystem::exists(kSocket); });
+  auto run = Run::join("dla1");
+  if (!run) ksft_exit_fail_msg("not admitted\n");
+  const bool found = eventually([] { return told("queues", "dla1") == 1; });
+  const auto both = [] { return guest::count(guest::dla_state(), "queue="); };
+  ksft_test_result(found && eventually([&] { return both() == 2; }),
+                   "a stranger's queue is found on its DLA: %lld, of %d\n",
+                   static_cast<long long>(told("queues", "dla1")), both());
+  int late = 0, stays = 0, wrong = 0;
+  for (std::uint64_t n = 1; found && n <= 50; ++n) {
+    run->start(n);
+    late += !eventually([] { return guest::suspended() == 1; });
+    wrong += guest::suspended_on_dla(0);
+    run->port->finish();
+    stays += !nothing_suspended();
+  }
+  ksft_test_result(
+      found && late == 0 && stays == 0 && wrong == 0 && told("not_kept_off", "dla1") == 0,
+      "it is off that DLA while a job has it: 50 jobs, %d not off, %d left off, %d on the other "
+      "one\n",
+      late, stays, wrong);
 }
 
 enum class Victim { kService, kCoordinator, kRun, kStranger };
@@ -211,7 +245,7 @@ void killed(const char* name, Victim victim, int times) {
   int stuck = 0, idle = 0, lost = 0;
   for (int i = 0; i < times; ++i) {
     std::filesystem::remove(kSocket);
-    Child service(serve), stranger(stranger_program);
+    Child service(serve), stranger([] { stranger_program(); });
     (void)eventually([] { return std::filesystem::exists(kSocket); });
     Child run(run_and_be_killed);
     idle += !eventually([] { return told("suspensions") > 0; });
@@ -236,15 +270,16 @@ void killed(const char* name, Victim victim, int times) {
 
 }  // namespace
 
-int main(int argc, char**) {
-  if (argc > 1) compute();
+int main(int argc, char** argv) {
+  if (argc > 1) compute(argv[1]);
   const char* scale = getenv("XAUTO_KILLS");
   const int kills = scale != nullptr ? atoi(scale) / 5 : 20;
   setlinebuf(stdout);
   ksft_print_header();
   if (access(kBin, X_OK) != 0) ksft_exit_skip("no xauto-system here\n");
-  ksft_set_plan(10);
+  ksft_set_plan(12);
   keeps_off();
+  keeps_off_one_dla();
   killed("the service", Victim::kService, kills);
   killed("the coordinator", Victim::kCoordinator, kills);
   killed("the run", Victim::kRun, kills);

@@ -51,6 +51,14 @@ inline int suspended() {
   return count(gpu_state(), "enabled=0") + count(dla_state(), "suspended=1");
 }
 
+/// Of one DLA: its part of the state begins with its number.
+inline int suspended_on_dla(int instance) {
+  const std::string state = dla_state();
+  const std::size_t from = state.find("dla=" + std::to_string(instance));
+  if (from == std::string::npos) return 0;
+  return count(state.substr(from, state.find("dla=", from + 1) - from), "suspended=1");
+}
+
 /// Polls; the limit is generous, since nothing here is about speed.
 inline bool eventually(const std::function<bool()>& condition, int limit_ms = 5000) {
   const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(limit_ms);
