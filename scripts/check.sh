@@ -54,17 +54,28 @@ build() {
   fi
 }
 
-# ctest_counted DIR CTEST_ARGUMENT...: ctest, its output without what passed, and what scripts/count-tests.py counts of it. With
-# `reports` set, gtest's reports count, and `again` says which areas are to run again.
-ctest_counted() {
-  local dir=$1 report log status passes bad skip
-  shift
-  report=$PWD/$dir/junit.xml log=$PWD/$dir/ctest.log
+# ctest_shown DIR REPORT CTEST_ARGUMENT...: ctest, without what passed.
+ctest_shown() {
+  local dir=$1 report=$PWD/$1/$2
+  shift 2
   rm -f "$report"
-  (cd "$dir" && ctest -j"${parallel:-$jobs}" --output-on-failure --output-junit "$report" "$@") | tee "$log" |
+  (cd "$dir" && ctest --output-on-failure --output-junit "$report" "$@") | tee -a "$dir/ctest.log" |
     grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed|Test +#[0-9]+: .*Passed)'
-  status=${PIPESTATUS[0]}
-  { read -r passes bad skip again; sed "s|$| ($dir)|" >>"$failures"; } < <(scripts/count-tests.py "$report" "$log" ${reports:+"$reports"})
+  return "${PIPESTATUS[0]}"
+}
+# ctest_counted DIR CTEST_ARGUMENT...: ctest, and what scripts/count-tests.py counts of it. With `reports` set, gtest's reports count,
+# and `again` says which areas are to run again; without, what failed is run once more, one after the other.
+ctest_counted() {
+  local dir=$1 status passes bad skip
+  shift
+  rm -f "$dir/ctest.log" "$dir/again.xml"
+  ctest_shown "$dir" junit.xml -j"${parallel:-$jobs}" "$@"
+  status=$?
+  if [ $status -ne 0 ] && [ -z "$reports" ]; then
+    ctest_shown "$dir" again.xml --rerun-failed -j1 --timeout 300
+    status=$?
+  fi
+  { read -r passes bad skip again; sed "s|$| ($dir)|" >>"$failures"; } < <(scripts/count-tests.py "$dir" ${reports:+"$reports"})
   failed=$((failed + bad))
   if [ "$bad" -eq 0 ] && [ -z "$again" ] && { [ "$status" -ne 0 ] || [ "$passes" -eq 0 ]; }; then
     echo "check: ctest in $dir ended with status $status, $passes passed"
@@ -75,10 +86,10 @@ ctest_counted() {
 }
 
 # tests DIR CTEST_ARGUMENT...: each in a process of its own. Threads and processes run in real time, on machines that stand still
-# for a quarter of a second: a test that fails is run once more, and named.
+# for a quarter of a second: a test that fails is run once more when the others have ended, and named.
 tests() {
   local reports='' again
-  ctest_counted "$@" --timeout 300 --repeat until-pass:2
+  ctest_counted "$@" --timeout 300
 }
 
 # areas DIR CTEST_ARGUMENT...: unit tests, those of an area in one process (a process of its own per test cost as much CPU time as

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts what ctest ran, for scripts/check.sh.
 
-  count-tests.py JUNIT LOG [DIRECTORY]   JUNIT: ctest's report; LOG: what it printed; DIRECTORY: gtest's reports, AREA.xml
+  count-tests.py BUILD [DIRECTORY]   BUILD has ctest's reports junit.xml and again.xml, of those that were run again, and what it
+                                     printed, ctest.log; DIRECTORY: gtest's reports, AREA.xml
 
 Prints "PASSED FAILED SKIPPED", then the name of each that failed, one a line. A test that said why it does not run here is skipped; one that did not run for any other reason has
 failed. One that passed when it was run again is named. What a sanitizer reported stays a failure, whatever a second run says.
@@ -71,9 +72,10 @@ def count_areas(cases, log, directory):
         print("a sanitizer's report")
 
 
-def main(junit, log, directory=None):
-    cases = cases_of(junit, "testcase")
-    with open(log, errors="replace") as file:
+def main(build, directory=None):
+    cases = {case.get("name"): case for report in ("junit.xml", "again.xml")
+             for case in cases_of(os.path.join(build, report), "testcase")}.values()
+    with open(os.path.join(build, "ctest.log"), errors="replace") as file:
         text = file.read()
     if directory is None:
         count_tests(cases, text)
