@@ -108,7 +108,8 @@ kmod() {
   # lockdep's reports are warnings; "quiet" hides those.
   [ "$1" != kasan ] || append+=" XAUTO_ATTACK=100000 loglevel=5 log_buf_len=4M"
   append+=" ${VM_APPEND:-}" # of the same name the last counts
-  VM_APPEND=$append in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
+  # Alone it takes 130 s; beside a compiler twice that.
+  VM_APPEND=$append VM_LIMIT_S=${VM_LIMIT_S:-600} in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
   no_reports "kmod-$1-${2:-amd64}"
 }
 
