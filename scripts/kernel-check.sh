@@ -207,6 +207,21 @@ together() {
   grep -E '^# (all|nobody|joins|kills)[,:]' "$out/together-$1.log"
 }
 
+# hosts NAME: an app over two hosts in one guest that keeps time.
+hosts() {
+  local kernel items=() program
+  note "an app over two hosts on Linux $1"
+  kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
+  for program in xauto xauto-coordinator xauto-emud testapp; do items+=("$build/bin/$program"); done
+  items+=("$build/lib/xauto/cyclonedds.so:/lib/xauto/cyclonedds.so" "$(command -v unshare):/usr/local/bin/unshare" "$(command -v chrt)")
+  "$build/bin/xauto" solve --app tests/vm/hosts/app.json --platform tests/vm/hosts/platform.json --max-evaluations 200 \
+    --out "$out/hosts.policy.json" >"$out/hosts.solve" || { failed=$((failed + 1)); return; }
+  items+=(tests/vm/hosts/app.json:/hosts/app.json tests/vm/hosts/platform.json:/hosts/platform.json "$out/hosts.policy.json:/hosts/policy.json")
+  VM_APPEND="${XAUTO_FULL:+xauto.releases=100000} ${VM_APPEND:-}" VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+7200}} \
+    in_vm "hosts-$1" "$kernel" run-hosts "${items[@]}"
+  grep -E '^# (kept|load|step):' "$out/hosts-$1.log"
+}
+
 # The Driving Case over the emulator modules, in the guest's own virtual time.
 driving() {
   local kernel items program
@@ -241,7 +256,7 @@ consumers() {
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
   lanes=(kmod-7.x scx-7.x at-once-7.x machine-7.x keys-7.x together-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12 together-7.x)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12 together-7.x hosts-7.x)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -269,6 +284,7 @@ else
     machine-*) machine "${lane#machine-}" ;;
     keys-*) keys "${lane#keys-}" ;;
     together-*) together "${lane#together-}" ;;
+    hosts-*) hosts "${lane#hosts-}" ;;
     kmod-kasan) kasan ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;
