@@ -104,7 +104,7 @@ kmod() {
   fi
   items+=("$tests")
   # What the kernel does not know on its command line, init gets as its environment.
-  [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20"
+  [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20 XAUTO_KILLS=1000"
   # lockdep's reports are warnings; "quiet" hides those.
   [ "$1" != kasan ] || append+=" XAUTO_ATTACK=100000 loglevel=5 log_buf_len=4M"
   append+=" ${VM_APPEND:-}" # of the same name the last counts

@@ -273,7 +273,7 @@ void killed(const char* name, Victim victim, int times) {
 int main(int argc, char** argv) {
   if (argc > 1) compute(argv[1]);
   const char* scale = getenv("XAUTO_KILLS");
-  const int kills = scale != nullptr ? atoi(scale) / 5 : 20;
+  const int kills = scale != nullptr ? atoi(scale) / 5 : 6;
   setlinebuf(stdout);
   ksft_print_header();
   if (access(kBin, X_OK) != 0) ksft_exit_skip("no xauto-system here\n");
