@@ -132,5 +132,41 @@ class Run(Case):
         self.assertIn("work on gpu0 is ordered within one process, and 3 have some", " ".join(run["claims"]["broken"] + run["notes"]))
 
 
+class Profile(Case):
+    """What `profile` runs below a job, and what of that gets into its WCET."""
+
+    def profile(self, work, *, levels=6, units):
+        platform = json.loads((self.folder / "platform.json").read_text())
+        platform["xpus"][0]["levels"] = levels
+        self.write("platform.json", platform)
+        self.on_gpu("profile", work, "--warmup", 1, "--repetitions", 12, "--out", "profile.json", "--app-out", "app.json", units=units)
+        return [line for line in self.log() if line[0] == "urgent" and line[2] == 5]  # the highest stream priority
+
+    def test_a_job_of_many_kernels_waits_for_a_block_at_each_of_them(self):
+        kernels, kernel_us, block_us = 6, 200, 3000
+        least_us = kernels * kernel_us + (kernels - 1) * block_us  # a block lasts that long at least, whatever the machine does
+        above = self.profile({"urgent": (50, kernels, 1, kernel_us), "long": (200, 20, 1, block_us)}, units=1)
+        self.assertGreaterEqual(max(waits for *_, waits in above), kernels - 1)
+        times = {x["name"]: x for x in json.loads((self.folder / "profile.json").read_text())["xnodes"]}["urgent.run"]
+        self.assertGreaterEqual(times["beside"]["gpu"]["gpu0"]["max_us"], least_us)
+        app = json.loads((self.folder / "app.json").read_text())
+        self.assertGreaterEqual(next(x["wcet_us"]["gpu"] for x in app["xnodes"] if x["name"] == "urgent.run"), least_us)
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--max-evaluations", 100, "--threads", 1, "--out",
+                     "policy.json", cwd=self.folder)
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        chain = next(c for c in json.loads((self.folder / "policy.json").read_text())["chains"] if "urgent" in c["name"])
+        self.assertGreaterEqual(chain["worst_case_us"], least_us, "the claim, too")
+
+    def test_what_leaves_room_alone_and_none_together_is_below_at_once(self):
+        """One block each on a GPU of two units: who meets one of them does not wait, who meets both does."""
+        work = {"urgent": (50, 1, 1, 300), "left": (200, 10, 1, 2000), "right": (200, 10, 1, 2000)}
+        above = self.profile(work, units=2)
+        self.assertEqual(max(met for *_, met, _ in above), 2)
+        self.assertEqual(max(waits for *_, waits in above), 1)
+        # Where a job has one level below it, no run has two there.
+        above = self.profile(work, levels=2, units=2)
+        self.assertEqual(max(met for *_, met, _ in above), 1)
+
+
 if __name__ == "__main__":
     unittest.main()
