@@ -406,6 +406,28 @@ CUresult cuMemcpyDtoHAsync(void* to, CUdeviceptr from, std::size_t bytes, CUstre
   return copy(to, pointer(from), bytes, stream);
 }
 
+// The kernel of bench/nvidia: each of its waves takes as long as its multiplications on an H100 (stage.h).
+CUresult cuModuleLoadData(CUmodule* module, const void*) {
+  *module = nullptr;
+  return stack.empty() ? CUDA_ERROR_INVALID_CONTEXT : CUDA_SUCCESS;
+}
+CUresult cuModuleGetFunction(CUfunction* function, CUmodule, const char* name) {
+  *function = nullptr;
+  return std::strcmp(name, "work") == 0 ? CUDA_SUCCESS : CUDA_ERROR_INVALID_VALUE;
+}
+CUresult cuFuncSetAttribute(CUfunction, CUfunction_attribute, int) {
+  return CUDA_SUCCESS;
+}
+CUresult cuLaunchKernel(CUfunction, unsigned grid, unsigned, unsigned, unsigned, unsigned, unsigned,
+                        unsigned, CUstream stream, void** arguments, void**) {
+  constexpr unsigned kWave = 264, kPerUs = 320;
+  if (grid == 0 || grid % kWave != 0) return CUDA_ERROR_INVALID_VALUE;
+  const std::chrono::microseconds time(*static_cast<unsigned long long*>(arguments[0]) / kPerUs);
+  const auto wave = [time] { std::this_thread::sleep_for(time); };
+  return fake::enqueue(stream, wave, static_cast<int>(grid / kWave)) ? CUDA_SUCCESS
+                                                                     : CUDA_ERROR_INVALID_CONTEXT;
+}
+
 // As the library exports them, beside what cuda.h calls them.
 CUresult cuCtxPushCurrent_v2(CUcontext context) {
   return cuCtxPushCurrent(context);
