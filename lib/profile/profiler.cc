@@ -588,10 +588,11 @@ class Run {
 
   /// For a person.
   [[nodiscard]] std::string or_below(const std::vector<int>& set) const {
-    std::string text;
+    std::string names;
     for (const int other : set)
-      text += ", or of '" + graph_.nodes[static_cast<std::size_t>(other)].name + "' below it,";
-    return text;
+      names += (names.empty() ? ", or of '" : " or '") +
+               graph_.nodes[static_cast<std::size_t>(other)].name + "'";
+    return names.empty() ? names : names + " below it,";
   }
 
   /// How long it takes; 0: it was not timed.

@@ -179,6 +179,45 @@ TEST(Profiler, WhatFailsBelowIsTold) {
       << profiled.error().what;
 }
 
+/// Its threads are left behind with the app, for good.
+TEST(Profiler, WhatHangsBelowIsNamedWithAllThatWereThere) {
+  static auto& app = *new TestApp;
+  static std::atomic<int> below{0};
+  static std::atomic<bool> above{false}, hangs{false};
+  app.session.platform.xpus[1] = {.id = "npu0", .type = "npu", .preemptive = true, .levels = 3};
+  app.handle = [] {
+    return SchedHandle::on_levels([](int on) -> Status {
+      above = above || on == 2;
+      return {};
+    });
+  };
+  static std::atomic<std::thread::id> measures;
+  app.exec = [](const std::string&, std::uint64_t) -> Status {
+    if (!above) measures = std::this_thread::get_id();
+    if (std::this_thread::get_id() == measures.load()) {
+      std::this_thread::sleep_for(5ms);
+      return {};
+    }
+    if (++below == 2) hangs = true;
+    do std::this_thread::sleep_for(1ms);
+    while (hangs);
+    --below;
+    return {};
+  };
+  app.session.mode = Mode::kProfile;
+  app.session.profile.warmup = 1;
+  app.session.profile.repetitions = 9;
+  app.session.profile.exec_limit_s = 1;
+  const std::atomic<bool> stop{false};
+  const auto profiled = profile(app.spec, app.session, stop);
+  ASSERT_TRUE(profiled) << profiled.error().to_string();
+  const auto read = parse_profile(profiled->text, "profile");
+  ASSERT_TRUE(read) << read.error().to_string();
+  const std::string& said = read->incomplete;
+  EXPECT_NE(said.find("' or '"), std::string::npos) << said;
+  EXPECT_NE(said.find("' below it, did not return within 1 s"), std::string::npos) << said;
+}
+
 /// Each pass begins with fresh states: an init that fills one is called for each of them, the others are not.
 TEST(Profiler, AnInitThatSeesTheStateIsCalledForEachState) {
   TestApp app;
