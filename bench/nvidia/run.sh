@@ -5,16 +5,18 @@
 #   app     three modules, each a context of its own: suspended, gated, by time slices, and killed
 #   levels  the same with blocks and launches as short as a net's: by levels, and by others that order work or do not
 #   nets    three nets of torchvision, likewise: needs python3 with torch and torchvision
+#   driving the Driving Case at its rates, its nets as kernels as long as rates.json says; its DLAs are emulated
 # Needs CUDA's nvcc, g++ and a release build of XAuto; root or a user who may open /dev/nvidia*. XSCHED is the folder
 # of XSched's libraries. What is not there is said. JITTER_US: how late this machine's threads wake at most;
-# LONG_S, SHORT_S: how long a run takes, XAuto's by levels and the others.
+# LONG_S, SHORT_S: how long a run takes, XAuto's by levels and the others. REPETITIONS: of each XNode when it is profiled. BLOCK_US: how long
+# blocks last, by levels.
 # usage: run.sh OUT BUILD_DIR [PART...]        docs/results/nvidia.md has what it printed.
 set -uo pipefail
 cd "$(dirname "$0")/../.." || exit 1
 mkdir -p "$1"
 out=$(realpath "$1") build=$(realpath "$2") here=$PWD/bench/nvidia
 shift 2
-parts=" ${*:-costs app levels nets} "
+parts=" ${*:-costs app levels nets driving} "
 watch=$build/bin/libxauto_watch.so
 long=${LONG_S:-60} short=${SHORT_S:-20}
 export PATH=$build/bin:$PATH KERNELS=$out/kernels.ptx NETS=$out/nets.txt
@@ -33,6 +35,7 @@ asked nets && g++ "${flags[@]}" "-I$torch/include" "-I$torch/include/torch/csrc/
   -o "$out/nets" "-L$torch/lib" "-Wl,-rpath,$torch/lib" -Wl,--no-as-needed -ltorch -ltorch_cuda -ltorch_cpu \
   -lc10_cuda -lc10 "-L$cuda/lib64" "-Wl,-rpath,$cuda/lib64" -lcudart "${linked[@]}" &
 asked nets && python3 "$here/nets.py" "$out" &
+asked driving && g++ "${flags[@]}" "$here/driving.cc" -o "$out/driving" "${linked[@]}" &
 g++ "${flags[@]}" "$here/app.cc" -o "$out/app" "${linked[@]}" || exit 1
 wait
 cd "$out" || exit 1
@@ -67,47 +70,54 @@ asked costs && costs
 xauto doctor --platform-out here.json >doctor.txt
 platform() { # NAME PREEMPT_US PREEMPTIVE [LEVELS]
   python3 - "$@" <<'P'
-import json, sys
+import json, os, sys
 platform = json.load(open("here.json"))
 gpu = next(x for x in platform["xpus"] if x["type"] == "gpu")
 gpu["preempt_us"], gpu["preemptive"] = int(sys.argv[2]), sys.argv[3] == "yes"
 gpu.pop("levels", None)
 if len(sys.argv) > 4:
     gpu["levels"] = int(sys.argv[4])
-platform["xpus"] = [gpu]
+others = []
+if os.environ.get("APP") == "driving": # the machine's cores, and DLAs as on an Orin
+    others += [x for x in platform["xpus"] if x["type"] == "cpu"]
+    others += [{"id": f"dla{i}", "type": "dla", "preemptive": True, "preempt_us": 132, "timeslice_us": 1000} for i in (0, 1)]
+platform["xpus"] = [gpu, *others]
 json.dump(platform, open(sys.argv[1] + ".json", "w"))
 P
 }
 app=app as=app # the program, and what its runs are called by
+emulated=()    # flags
 run() { # NAME PLATFORM SECONDS FLAG...: with the policy of that platform
   local name=$as-$1 platform=$2 seconds=$3
   shift 3
   TIMEFORMAT='%U %S'
   { time timeout -k 5 $((seconds + 60)) xauto run --app "$app-$platform.json" --platform "$platform.json" \
-    --policy "$app-$platform.policy.json" --duration "${seconds}s" --name "$name" --out "$name.report.json" "$@" \
+    --policy "$app-$platform.policy.json" --duration "${seconds}s" --name "$name" --out "$name.report.json" \
+    "${emulated[@]}" "$@" \
     -- "./$app" >"$name.txt" 2>"$name.err"; } 2>"$name.cpu" ||
-    { echo "run.sh: $name ended with $?:"; tail -n 3 "$name.err"; }
+    { echo "run.sh: $name ended with $?:"; tail -n 3 "$name.err"; return 1; }
 }
 profile() { # PLATFORM DEADLINE_MS...: WCETs, and what the tables say of jitter and deadlines
   local platform=$1
   shift
-  xauto profile --platform "$platform.json" --repetitions 100 --out "$as-$platform.profile.json" \
-    --app-out profiled.json -- "./$app" || exit 1
+  xauto profile --platform "$platform.json" --repetitions "${REPETITIONS:-100}" --out "$as-$platform.profile.json" \
+    --app-out profiled.json "${emulated[@]}" -- "./$app" || exit 1
   python3 - "$app-$platform.json" "$@" <<'P'
 import json, os, sys
 app = json.load(open("profiled.json"))
 for source in app["sources"]:
     source["jitter_us"] = int(os.environ.get("JITTER_US", "1000"))
-for chain, deadline_ms in zip(app["chains"], sys.argv[2:], strict=True):
-    chain["deadline_us"] = 1000 * int(deadline_ms)
+if len(sys.argv) > 2: # else as the program says
+    for chain, deadline_ms in zip(app["chains"], sys.argv[2:], strict=True):
+        chain["deadline_us"] = 1000 * int(deadline_ms)
 json.dump(app, open(sys.argv[1], "w"))
 P
 }
-plan() { xauto solve --app "$app-$1.json" --platform "$1.json" --time-limit 3s --out "$app-$1.policy.json"; }
+plan() { xauto solve --app "$app-$1.json" --platform "$1.json" --time-limit "${SOLVE_S:-3}s" --out "$app-$1.policy.json"; }
 cost_of() { # RUN: half as much again as suspending has cost in it
   python3 - "$1.report.json" <<'P'
 import json, sys
-cost = json.load(open(sys.argv[1]))["runs"][0]["preemptions"][0]
+cost = next(x for x in json.load(open(sys.argv[1]))["runs"][0]["preemptions"] if x["xpu"].startswith("gpu"))
 print((cost["suspend_us"] + cost["resume_us"]) * 3 // 2)
 P
 }
@@ -115,7 +125,7 @@ suspended() { # DEADLINE_MS...: rm.json and its plan, with what suspending has c
   platform first 2000 yes
   profile first "$@"
   plan first >first.txt
-  run first first 10
+  run first first 10 || return 1
   local cost
   cost=$(cost_of "$as-first")
   echo "planned with preempt_us $cost"
@@ -178,7 +188,7 @@ by_xsched() {
 if [ "$levels" -lt 2 ]; then
   echo "run.sh: CUDA tells of no stream priorities here: nothing by levels"
 else
-  export BLOCK_US=50
+  export BLOCK_US=${BLOCK_US:-50}
   as=short
   if asked levels; then
     by_levels 9 39 190
@@ -192,6 +202,14 @@ else
   fi
   app=nets as=nets
   asked nets && by_levels 9 39 190
+  if asked driving; then
+    app=driving as=driving emulated=(--emulate dla)
+    unset LAUNCH_US
+    export APP=$app DRIVING_TIMES=worst SOLVE_S=${SOLVE_S:-20}
+    by_levels
+    suspended && run suspended rm "$short"
+    run slices first "$short" --scheduling timeshare
+  fi
 fi
 
 python3 - ./*.report.json <<'P'

@@ -15,18 +15,19 @@ class JobsAbove {
  public:
   static constexpr std::size_t kKept = 64;
 
-  /// A job begins on `level`, 1 or more. It counts for no longer than `longest_ns` until end(), since its process may
-  /// die: its WCET. Returns what end() wants.
+  /// A job begins on `level`, 1 or more. Until end() no more counts of its own time than `longest_ns`, its WCET, since its
+  /// process may die; what those above it had meanwhile is not its own. Returns what end() wants.
   std::uint64_t begin(int level, std::int64_t now_ns, std::int64_t longest_ns);
   void end(std::uint64_t job, std::int64_t now_ns);
   /// How much of this time belonged to jobs above `level`; too little where more than kKept have begun since.
   [[nodiscard]] std::int64_t ns(int level, std::int64_t since_ns, std::int64_t until_ns) const;
 
  private:
+  static constexpr std::int64_t kRuns = -1;
   struct Time {
     std::atomic<std::uint64_t> job{};  ///< 0: nobody's, or being written
     std::atomic<std::int32_t> level{};
-    std::atomic<std::int64_t> begin_ns{}, end_ns{};
+    std::atomic<std::int64_t> begin_ns{}, longest_ns{}, end_ns{};  ///< end_ns: or kRuns
   };
   std::atomic<std::uint64_t> begun_{};
   Time kept_[kKept];

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "profile/below.h"
 
+#include <algorithm>
 #include <condition_variable>
 #include <mutex>
 #include <thread>
@@ -12,9 +13,12 @@
 namespace xauto::runtime {
 namespace {
 
-class Thread final : public Below {
+class Thread {
  public:
-  ~Thread() override {
+  Thread() = default;
+  Thread(const Thread&) = delete;
+  Thread& operator=(const Thread&) = delete;
+  ~Thread() {
     {
       const std::lock_guard lock(mutex_);
       quit_ = true;
@@ -32,7 +36,7 @@ class Thread final : public Below {
     return {};
   }
 
-  void begin(std::function<Status()> job) override {
+  void begin(std::function<Status()> job) {
     std::unique_lock lock(mutex_);
     job_ = std::move(job);
     wanted_ = true;
@@ -40,7 +44,7 @@ class Thread final : public Below {
     changed_.wait(lock, [&] { return calling_; });
   }
 
-  Status end() override {
+  Status end() {
     std::unique_lock lock(mutex_);
     wanted_ = false;
     changed_.notify_all();
@@ -78,12 +82,60 @@ class Thread final : public Below {
   std::thread thread_;
 };
 
+class Threads final : public Below {
+ public:
+  explicit Threads(std::vector<int> cores) : cores_(std::move(cores)) {}
+
+  Status begin(std::vector<std::function<Status()>> jobs) override {
+    while (threads_.size() < jobs.size()) {
+      auto made = std::make_unique<Thread>();
+      XAUTO_TRY(made->start(cores_));
+      threads_.push_back(std::move(made));
+    }
+    at_work_ = jobs.size();
+    for (std::size_t i = 0; i < at_work_; ++i) threads_[i]->begin(std::move(jobs[i]));
+    return {};
+  }
+
+  Status end() override {
+    Status ended;
+    for (std::size_t i = 0; i < at_work_; ++i)
+      if (Status one = threads_[i]->end(); ended) ended = std::move(one);
+    at_work_ = 0;
+    return ended;
+  }
+
+ private:
+  std::vector<int> cores_;
+  std::vector<std::unique_ptr<Thread>> threads_;
+  std::size_t at_work_ = 0;
+};
+
 }  // namespace
 
-Result<std::unique_ptr<Below>> Below::start(const std::vector<int>& cores) {
-  auto made = std::make_unique<Thread>();
-  XAUTO_TRY(made->start(cores));
-  return std::unique_ptr<Below>(std::move(made));
+std::unique_ptr<Below> Below::on(const std::vector<int>& cores) {
+  return std::make_unique<Threads>(cores);
+}
+
+std::vector<std::vector<int>> sets_below(const std::vector<std::vector<int>>& others, int levels) {
+  std::vector<std::vector<int>> sets;
+  std::size_t most = 0;
+  for (const std::vector<int>& module : others) {
+    for (const int one : module) sets.push_back({one});
+    most = std::max(most, module.size());
+  }
+  const std::size_t modules = others.size(),
+                    together = std::min(modules, static_cast<std::size_t>(std::max(0, levels - 1)));
+  if (together < 2) return sets;
+  // Each module is on each of these levels once, and each XNode in some set.
+  for (std::size_t turn = 0; turn < modules * most; ++turn) {
+    std::vector<int>& set = sets.emplace_back();
+    for (std::size_t i = 0; i < together; ++i) {
+      const std::vector<int>& module = others[(turn + i) % modules];
+      set.push_back(module[turn / modules % module.size()]);
+    }
+  }
+  return sets;
 }
 
 }  // namespace xauto::runtime

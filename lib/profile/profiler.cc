@@ -4,7 +4,7 @@
 // runs on the p-th of its XPU instances; there are as many passes as the XNode with most instances
 // has, and each pass replays the input from its start with fresh module states. Passes of the variants
 // come after those: an XNode that is not timed runs its own implementation. Nothing else runs
-// meanwhile; but on XPUs with levels all passes come again with one less urgent XNode beside each (below.h). With
+// meanwhile; but on XPUs with levels all passes come again with less urgent XNodes beside each (below.h). With
 // --contended all passes come again for each co-run class, beside its load (corun.h);
 // with --audit each exec is followed by as long a time in which nothing runs (audit.h). The thread
 // that asked for the profile watches: when it is told to stop, or when an exec takes too long, it
@@ -455,7 +455,8 @@ class Run {
                     bool above = false) {
     std::size_t passes = 0;
     for (const Alternatives& of_node : all) passes = std::max(passes, of_node.size());
-    const std::uint64_t total = passes * (session_.profile.warmup + session_.profile.repetitions);
+    const std::uint64_t repetitions = session_.profile.warmup + session_.profile.repetitions;
+    const std::uint64_t total = passes * repetitions;
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes; ++pass) {
@@ -472,8 +473,11 @@ class Run {
         placing.on.push_back(placing.counts[n] ? all[n][pass]
                                                : alternatives_[n][pass % alternatives_[n].size()]);
       }
-      for (std::uint64_t k = 0; k < session_.profile.warmup + session_.profile.repetitions;
-           ++k, ++done) {
+      most_sets_ = 0;
+      const auto enough = [&](std::uint64_t k) {  // also that each has met each of its sets
+        return k >= repetitions && k >= session_.profile.warmup + most_sets_;
+      };
+      for (std::uint64_t k = 0; !enough(k); ++k, ++done) {
         Messages messages(graph_.topics.size());
         XAUTO_ASSIGN(const bool more, feed.next(messages));
         if (!more) {
@@ -508,14 +512,14 @@ class Run {
     // What is measured is on the first core, and both wait for the XPU by looking again and again.
     std::vector<int> elsewhere(cores_.begin() + (cores_.size() > 1 ? 1 : 0), cores_.end());
     for (const std::string& type : types) {
-      XAUTO_ASSIGN(below_, Below::start(elsewhere));
+      below_ = Below::on(elsewhere);
       XAUTO_TRY(run_passes(alternatives_, type, true));
       XAUTO_TRY(run_passes(variants_, type, true));
       below_.reset();
       const Guard lock(mutex_);
       std::string& what = beside_[type];
-      what +=
-          std::string(what.empty() ? "" : "; ") + "XNodes of other modules, on the lowest level";
+      what += std::string(what.empty() ? "" : "; ") +
+              "XNodes of other modules on lower levels, each alone and several at a time";
     }
     return {};
   }
@@ -526,41 +530,69 @@ class Run {
     Input input = InputAccess::make();
   };
 
-  /// Has another XNode run below `n`, on what its module heard last, again and again: which. -1: there is none.
-  Result<int> begin_below(int n, const Alternative& as, std::uint64_t k) {
-    std::vector<int> others;
-    for (const auto& [other, active] : active_) {
-      const int module = graph_.nodes[static_cast<std::size_t>(other)].module;
-      if (module != graph_.nodes[static_cast<std::size_t>(n)].module && active.xpu == as.xpu &&
-          active.made.handle.kind() == SchedHandle::Kind::kLevels &&
-          bound_[static_cast<std::size_t>(module)] != nullptr)
-        others.push_back(other);
-    }
-    const SchedHandle& handle = active_[n].made.handle;
-    if (others.empty() || handle.kind() != SchedHandle::Kind::kLevels) return -1;
-    const int other = others[k % others.size()];
-    XAUTO_TRY(handle.callbacks()->take(xpu::levels_of(xpu(as.xpu), false) - 1));
-    below_->begin([this, other] { return run_below(other); });
-    // At several phases of its.
-    sleep_until_ns(now_ns() +
-                   usual_ns(other) * static_cast<std::int64_t>(k / others.size() % 4) / 4);
-    return other;
+  /// What may run below `n`, on this XPU: XNodes of other modules, whose modules have heard something.
+  [[nodiscard]] std::vector<std::vector<int>> sets_of(int n, int at) {
+    const auto active = active_.find(n);
+    if (active == active_.end() || active->second.made.handle.kind() != SchedHandle::Kind::kLevels)
+      return {};
+    const auto module_of = [&](int node) {
+      return graph_.nodes[static_cast<std::size_t>(node)].module;
+    };
+    std::map<int, std::vector<int>> by_module;
+    for (const auto& [other, there] : active_)
+      if (module_of(other) != module_of(n) && there.xpu == at &&
+          there.made.handle.kind() == SchedHandle::Kind::kLevels &&
+          bound_[static_cast<std::size_t>(module_of(other))] != nullptr)
+        by_module[module_of(other)].push_back(other);
+    std::vector<std::vector<int>> others;
+    for (auto& [module, nodes] : by_module) others.push_back(std::move(nodes));
+    return sets_below(others, xpu::levels_of(xpu(at), false));
   }
 
-  Status end_below(int n) {
+  /// Has others run below `n`, on what their modules heard last, again and again: which. None: there are none.
+  Result<std::vector<int>> begin_below(int n, const Alternative& as, std::uint64_t k) {
+    const std::vector<std::vector<int>> sets = sets_of(n, as.xpu);
+    most_sets_ = std::max(most_sets_, sets.size());
+    if (sets.empty()) return std::vector<int>();
+    XAUTO_TRY(active_[n].made.handle.callbacks()->take(xpu::levels_of(xpu(as.xpu), false) - 1));
+    const std::vector<int>& set = sets[k % sets.size()];
+    std::vector<std::function<Status()>> jobs;
+    std::int64_t longest_ns = 0;
+    for (const int other : set) {
+      jobs.emplace_back(
+          [this, other, level = static_cast<int>(jobs.size())] { return run_below(other, level); });
+      longest_ns = std::max(longest_ns, usual_ns(other));
+    }
+    XAUTO_TRY(below_->begin(std::move(jobs)));
+    // At several phases of theirs.
+    sleep_until_ns(now_ns() + longest_ns * static_cast<std::int64_t>(k / sets.size() % 4) / 4);
+    return set;
+  }
+
+  Status end_below(int n, const std::vector<int>& set) {
     XAUTO_TRY(below_->end());
+    for (const int other : set) XAUTO_TRY(active_[other].made.handle.callbacks()->take(0));
     return active_[n].made.handle.callbacks()->take(0);
   }
 
-  /// On the thread of below_.
-  Status run_below(int n) {
+  /// On a thread of below_'s.
+  Status run_below(int n, int level) {
     const Graph::Node& node = graph_.nodes[static_cast<std::size_t>(n)];
     const auto module = static_cast<std::size_t>(node.module);
     const Active& active = active_.at(n);
     const std::string where =
         "exec of XNode '" + node.name + "' on " + xpu(active.xpu).id + ", below another one";
-    XAUTO_TRY(active.made.handle.callbacks()->take(0));
+    XAUTO_TRY(active.made.handle.callbacks()->take(level));
     return exec_here(*active.impl, active, states_[module].get(), bound_[module]->input, where);
+  }
+
+  /// For a person.
+  [[nodiscard]] std::string or_below(const std::vector<int>& set) const {
+    std::string names;
+    for (const int other : set)
+      names += (names.empty() ? ", or of '" : " or '") +
+               graph_.nodes[static_cast<std::size_t>(other)].name + "'";
+    return names.empty() ? names : names + " below it,";
   }
 
   /// How long it takes; 0: it was not timed.
@@ -608,10 +640,10 @@ class Run {
       const std::string where = "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(at).id;
       bool count = placing.counts[index];
       const bool emulated = active_[n].emulated;
-      int below = -1;
+      std::vector<int> below;
       if (count && placing.above) {
         XAUTO_ASSIGN(below, begin_below(n, as, k));
-        count = below >= 0;
+        count = !below.empty();
       } else if (count && !placing.beside.empty()) {
         count = corun_->beside(placing.beside, {at, emulated, core_now_});
       } else if (corun_) {
@@ -620,16 +652,13 @@ class Run {
       if (audit_) XAUTO_TRY(audit_->begin(at, emulated));
       {
         const Guard lock(mutex_);
-        exec_of_ = below < 0
-                       ? where
-                       : where + ", or of '" + graph_.nodes[static_cast<std::size_t>(below)].name +
-                             "' below it,";
+        exec_of_ = where + or_below(below);
         exec_since_ns_ = now_ns();
       }
       const std::int64_t before = now_ns();
       const Status ran = exec_here(*as.impl, active_[n], state, input, where);
       const std::int64_t us = (now_ns() - before + 999) / 1000;
-      if (below >= 0) XAUTO_TRY(end_below(n));
+      if (!below.empty()) XAUTO_TRY(end_below(n, below));
       XAUTO_TRY(ran);
       {
         const Guard lock(mutex_);
@@ -765,6 +794,7 @@ class Run {
   std::optional<Corun> corun_;                               ///< with --contended; likewise
   std::optional<Audit> audit_;                               ///< with --audit; likewise
   std::unique_ptr<Below> below_;                             ///< on XPUs with levels; likewise
+  std::size_t most_sets_ = 0;  ///< of what was below somebody in this pass; likewise
   std::vector<std::unique_ptr<Bound>> bound_;           ///< [module] of this release or the last
   std::size_t questions_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< of the audit
   using Texts = std::map<std::string, std::string, std::less<>>;

@@ -2,6 +2,7 @@
 #include "cuda.h"
 
 #include <algorithm>
+#include <chrono>
 #include <condition_variable>
 #include <cstring>
 #include <deque>
@@ -12,14 +13,21 @@
 #include <utility>
 #include <vector>
 
+#include <pthread.h>
+
 #include "fake.h"
 
+struct Kernel {
+  std::function<void()> block;
+  int left = 1, running = 0;
+};
 struct CUstream_st {
   CUcontext context = nullptr;
-  int priority = 0;  ///< the greatest is the smallest number
-  std::deque<std::function<void()>> blocks = {};
-  bool running = false;  ///< its first block does, which has left the list
+  int priority = 0;                 ///< the greatest is the smallest number
+  std::deque<Kernel> kernels = {};  ///< the first one is there until it has ended
   bool capturing = false;
+  bool between = false;  ///< a kernel has just ended, and nobody else has had a block since
+  fake::Busy busy = {};
 };
 struct CUctx_st {
   bool primary = false;
@@ -27,11 +35,11 @@ struct CUctx_st {
   std::vector<std::unique_ptr<CUstream_st>> streams = {};
 };
 struct CUgraph_st {
-  std::vector<std::function<void()>> blocks;
+  std::vector<Kernel> kernels;
 };
 struct CUgraphExec_st {
   CUcontext context = nullptr;
-  std::vector<std::function<void()>> blocks = {};
+  std::vector<Kernel> kernels = {};
 };
 
 namespace {
@@ -41,9 +49,11 @@ struct Memory {
   CUcontext context;
   bool mapped;  ///< for the GPU
 };
-std::mutex gpu;  ///< of all below
-std::condition_variable block_ended;
-bool busy = false;  ///< a block runs
+std::mutex gpu;                   ///< of all below
+std::condition_variable changed;  ///< something was queued, or a block has ended
+int busy = 0;                     ///< blocks that run
+int units = 0;                    ///< of a Device; 0: there is none
+std::size_t turn = 0;             ///< of contexts
 std::map<const void*, Memory> memory;
 std::vector<std::unique_ptr<CUctx_st>> contexts;
 int graphs = 0, failing = -1, priorities = 6;
@@ -61,13 +71,61 @@ CUctx_st* find(CUcontext context) {
     if (one.get() == context) return context;
   return nullptr;
 }
+std::int64_t now_ns() {
+  return std::chrono::nanoseconds(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
 CUstream_st* next_of(const CUctx_st& context) {
   CUstream_st* next = nullptr;
   for (const auto& stream : context.streams)
-    if (!stream->blocks.empty() && !stream->capturing &&
-        (next == nullptr || stream->priority < next->priority))
+    if (!stream->kernels.empty() && stream->kernels.front().left > 0 && !stream->capturing &&
+        !stream->between && (next == nullptr || stream->priority < next->priority))
       next = stream.get();
   return next;
+}
+/// Runs a block of this stream's.
+void run_next(CUstream_st& stream, std::unique_lock<std::mutex>& lock) {
+  Kernel& kernel = stream.kernels.front();
+  --kernel.left;
+  ++kernel.running;
+  ++busy;
+  lock.unlock();
+  kernel.block();
+  lock.lock();
+  --busy;
+  if (--kernel.running == 0 && kernel.left == 0) {
+    stream.kernels.pop_front();
+    stream.between = units > 0 && !stream.kernels.empty();
+  }
+  if (stream.kernels.empty()) stream.busy.until_ns = now_ns();
+  changed.notify_all();
+}
+/// Those that are between two kernels may go on. `behind`: a block of another stream that came in between.
+bool go_on(bool behind) {
+  bool any = false;
+  for (const auto& context : contexts)
+    for (const auto& stream : context->streams) {
+      any = any || stream->between;
+      stream->busy.waits += behind && stream->between ? 1 : 0;
+      stream->between = false;
+    }
+  return any;
+}
+void run_unit() {
+  const sched_param highest{sched_get_priority_max(SCHED_FIFO)};  // a GPU waits for nobody's core
+  (void)pthread_setschedparam(pthread_self(), SCHED_FIFO, &highest);
+  std::unique_lock lock(gpu);
+  while (units > 0) {
+    CUstream_st* next = nullptr;
+    for (std::size_t i = 1; i <= contexts.size() && next == nullptr; ++i)
+      if ((next = next_of(*contexts[(turn + i) % contexts.size()])) != nullptr)
+        turn = (turn + i) % contexts.size();
+    if (next != nullptr) {
+      (void)go_on(true);
+      run_next(*next, lock);
+    } else if (!go_on(false)) {
+      changed.wait(lock);
+    }
+  }
 }
 CUresult create(CUstream* made, unsigned flags, int priority) {
   const std::lock_guard lock(gpu);
@@ -78,9 +136,12 @@ CUresult create(CUstream* made, unsigned flags, int priority) {
   *made = stack.back()->streams.back().get();
   return CUDA_SUCCESS;
 }
-bool queue(CUstream stream, std::function<void()> block) {
+bool queue(CUstream stream, Kernel kernel) {
   if (stack.empty() || find(stream) == nullptr || stream->context != stack.back()) return false;
-  stream->blocks.push_back(std::move(block));
+  if (stream->kernels.empty())
+    stream->busy = {now_ns(), 0, busy, units > 0 && busy == units ? 1 : 0};
+  stream->kernels.push_back(std::move(kernel));
+  changed.notify_all();
   return true;
 }
 
@@ -123,9 +184,28 @@ Alive alive() {
 CUcontext current() {
   return stack.empty() ? nullptr : stack.back();
 }
-bool enqueue(CUstream stream, std::function<void()> block) {
+bool enqueue(CUstream stream, std::function<void()> block, int blocks) {
   const std::lock_guard lock(gpu);
-  return queue(stream, std::move(block));
+  return queue(stream, {std::move(block), blocks});
+}
+Busy last_busy(CUstream stream) {
+  const std::lock_guard lock(gpu);
+  return stream->busy;
+}
+Device::Device(int count) {
+  {
+    const std::lock_guard lock(gpu);
+    units = count;
+  }
+  for (int i = 0; i < count; ++i) units_.emplace_back(run_unit);
+}
+Device::~Device() {
+  {
+    const std::lock_guard lock(gpu);
+    units = 0;
+    changed.notify_all();
+  }
+  for (std::thread& unit : units_) unit.join();
 }
 void set_priorities(int count) {
   const std::lock_guard lock(gpu);
@@ -135,7 +215,8 @@ std::size_t queued() {
   const std::lock_guard lock(gpu);
   std::size_t blocks = 0;
   for (const auto& context : contexts)
-    for (const auto& stream : context->streams) blocks += stream->blocks.size();
+    for (const auto& stream : context->streams)
+      for (const Kernel& kernel : stream->kernels) blocks += static_cast<std::size_t>(kernel.left);
   return blocks;
 }
 int priority_of(CUstream stream) {
@@ -243,26 +324,18 @@ CUresult cuStreamSynchronize(CUstream stream) {
   std::unique_lock lock(gpu);
   if (find(stream) == nullptr) return CUDA_ERROR_INVALID_VALUE;
   if (stream->capturing) return CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED;
-  while (!stream->blocks.empty() || stream->running) {
-    if (busy) {
-      block_ended.wait(lock);
-      continue;
-    }
-    CUstream_st* next = next_of(*stream->context);
-    const std::function<void()> block = std::move(next->blocks.front());
-    next->blocks.pop_front();
-    next->running = busy = true;
-    lock.unlock();
-    block();
-    lock.lock();
-    next->running = busy = false;
-    block_ended.notify_all();
+  while (!stream->kernels.empty()) {
+    CUstream_st* next = units > 0 || busy > 0 ? nullptr : next_of(*stream->context);
+    if (next == nullptr)
+      changed.wait(lock);
+    else
+      run_next(*next, lock);
   }
   return CUDA_SUCCESS;
 }
 CUresult cuStreamBeginCapture(CUstream stream, CUstreamCaptureMode) {
   const std::lock_guard lock(gpu);
-  if (stream->capturing || !stream->blocks.empty()) return CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED;
+  if (stream->capturing || !stream->kernels.empty()) return CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED;
   stream->capturing = true;
   return CUDA_SUCCESS;
 }
@@ -270,21 +343,21 @@ CUresult cuStreamEndCapture(CUstream stream, CUgraph* graph) {
   const std::lock_guard lock(gpu);
   if (!stream->capturing) return CUDA_ERROR_INVALID_VALUE;
   stream->capturing = false;
-  *graph = new CUgraph_st{{stream->blocks.begin(), stream->blocks.end()}};
+  *graph = new CUgraph_st{{stream->kernels.begin(), stream->kernels.end()}};
   ++graphs;
-  stream->blocks.clear();
+  stream->kernels.clear();
   return CUDA_SUCCESS;
 }
 CUresult cuGraphInstantiateWithFlags(CUgraphExec* made, CUgraph graph, unsigned long long) {
   const std::lock_guard lock(gpu);
-  *made = new CUgraphExec_st{stack.back(), graph->blocks};
+  *made = new CUgraphExec_st{stack.back(), graph->kernels};
   ++graphs;
   return CUDA_SUCCESS;
 }
 CUresult cuGraphLaunch(CUgraphExec graph, CUstream stream) {
   const std::lock_guard lock(gpu);
-  for (const auto& block : graph->blocks)
-    if (!queue(stream, block)) return CUDA_ERROR_INVALID_CONTEXT;
+  for (const Kernel& kernel : graph->kernels)
+    if (!queue(stream, kernel)) return CUDA_ERROR_INVALID_CONTEXT;
   return CUDA_SUCCESS;
 }
 CUresult cuGraphDestroy(CUgraph graph) {
@@ -331,6 +404,28 @@ CUresult cuMemcpyHtoDAsync(CUdeviceptr to, const void* from, std::size_t bytes, 
 }
 CUresult cuMemcpyDtoHAsync(void* to, CUdeviceptr from, std::size_t bytes, CUstream stream) {
   return copy(to, pointer(from), bytes, stream);
+}
+
+// The kernel of bench/nvidia: each of its waves takes as long as its multiplications on an H100 (stage.h).
+CUresult cuModuleLoadData(CUmodule* module, const void*) {
+  *module = nullptr;
+  return stack.empty() ? CUDA_ERROR_INVALID_CONTEXT : CUDA_SUCCESS;
+}
+CUresult cuModuleGetFunction(CUfunction* function, CUmodule, const char* name) {
+  *function = nullptr;
+  return std::strcmp(name, "work") == 0 ? CUDA_SUCCESS : CUDA_ERROR_INVALID_VALUE;
+}
+CUresult cuFuncSetAttribute(CUfunction, CUfunction_attribute, int) {
+  return CUDA_SUCCESS;
+}
+CUresult cuLaunchKernel(CUfunction, unsigned grid, unsigned, unsigned, unsigned, unsigned, unsigned,
+                        unsigned, CUstream stream, void** arguments, void**) {
+  constexpr unsigned kWave = 264, kPerUs = 320;
+  if (grid == 0 || grid % kWave != 0) return CUDA_ERROR_INVALID_VALUE;
+  const std::chrono::microseconds time(*static_cast<unsigned long long*>(arguments[0]) / kPerUs);
+  const auto wave = [time] { std::this_thread::sleep_for(time); };
+  return fake::enqueue(stream, wave, static_cast<int>(grid / kWave)) ? CUDA_SUCCESS
+                                                                     : CUDA_ERROR_INVALID_CONTEXT;
 }
 
 // As the library exports them, beside what cuda.h calls them.

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Stands in for CUDA's cuda.h where there is no CUDA: the few declarations of the driver API that include/xauto/
- * and bench/nvidia/ use, written from its documentation. cuda.cc acts out those of include/xauto/. */
+ * and bench/nvidia/ use, written from its documentation. cuda.cc acts them out but for those that only suspend.cc of the latter calls. */
 #pragma once
 
 #include <cstddef>
