@@ -137,22 +137,23 @@ struct Crossings::In {
   log::Refusals line{"parts"};
 };
 
-Result<std::unique_ptr<Crossings>> Crossings::open(const Context& context) {
+Result<std::unique_ptr<Crossings>> Crossings::open(const Context& context,
+                                                   std::function<void()> enter) {
   const runtime::HostPart& part = context.session.host;
   if (!part.there()) return nullptr;
   auto made = std::unique_ptr<Crossings>(new Crossings(context));
   XAUTO_ASSIGN(const auto releases, releases_of_modules(context.graph, context.session.app));
   std::vector<std::size_t> out, in;
-  transport::BridgeOptions options;
+  transport::BridgeOptions options{.enter = std::move(enter)};
   for (std::size_t t = 0; t < context.graph.topics.size(); ++t) {
     const Graph::Topic& topic = context.graph.topics[t];
+    // Topics may be told to programs outside, too, in the same domain, whose limit is that of who comes first.
+    options.largest_bytes = std::max(options.largest_bytes, largest(topic.spec));
     if (topic.module < 0) continue;
     const bool here = context.hosts(at(topic.module));
     const bool crosses = std::ranges::any_of(topic.subscribers, [&](const Graph::Subscriber& s) {
       return here ? !context.hosts(at(s.module)) : context.hosts(at(s.module));
     });
-    // A program may be heard by others, too, in the same domain: whoever is first says the largest.
-    options.largest_bytes = std::max(options.largest_bytes, largest(topic.spec));
     if (crosses) (here ? out : in).push_back(t);
   }
   if (out.empty() && in.empty()) return made;

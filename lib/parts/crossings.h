@@ -43,8 +43,10 @@ struct PartStart {
 /// Threads: one, apart from what it hands out.
 class Crossings {
  public:
-  /// Null: the run is not one part of several. Errors: a topic that cannot cross, no plug-in, no DDS.
-  [[nodiscard]] static Result<std::unique_ptr<Crossings>> open(const runtime::Context& context);
+  /// Null: the run is not one part of several. `enter`: of BridgeOptions. Before any other bridge of this process, whose
+  /// threads the first one makes. Errors: a topic that cannot cross, no plug-in, no DDS.
+  [[nodiscard]] static Result<std::unique_ptr<Crossings>> open(const runtime::Context& context,
+                                                               std::function<void()> enter);
   ~Crossings();
   Crossings(const Crossings&) = delete;
   Crossings& operator=(const Crossings&) = delete;
