@@ -415,10 +415,10 @@ class Two(Parts):
         self.ended("rear", rear)
 
     def test_the_page_s_commands(self):
-        """docs/several-machines.md: solve, check and a part on each host, as they stand there, but for the address and the end."""
+        """docs/several-machines.md: solve, check, graph, explain and a part on each host, as they stand there, but for the address and the end."""
         page = (SOURCE / "docs/several-machines.md").read_text()
-        commands = re.findall(r"^    (xauto (?:solve|check|run) .*)$", page, re.MULTILINE)
-        self.assertEqual([c.split()[1] for c in commands], ["solve", "check", "run", "run"])
+        commands = re.findall(r"^    (xauto (?:solve|check|graph|explain|run) .*)$", page, re.MULTILINE)
+        self.assertEqual([c.split()[1] for c in commands], ["solve", "check", "graph", "explain", "run", "run"])
         self.solve(TWO)
         (self.at / "platform.json").rename(self.at / "orins.json")
         processes = []
@@ -435,6 +435,8 @@ class Two(Parts):
         for host, process in processes:
             self.assertTrue(self.ended(host, process)["complete"])
         self.assertEqual(len(self.results("rear")["c"]), 20)
+        picture = (self.at / "two-hosts.svg").read_text()
+        self.assertRegex(picture, "(?s)host front, .*host rear, .*X 60 ms")
 
 
     def test_the_driving_case_with_samples_and_several_rates(self):

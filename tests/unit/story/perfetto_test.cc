@@ -234,7 +234,7 @@ TEST(Perfetto, FilesOfTwoHostsOneBehindTheOtherHaveArrowsAcross) {
     const auto us = static_cast<std::int64_t>(2000 * seq);
     front.publish(us, seq);
     front.activate(us + 1, seq, 0, us);
-    for (const std::uint16_t xnode : {0, 1}) {
+    for (const std::uint16_t xnode : {std::uint16_t{0}, std::uint16_t{1}}) {
       front.at(us + 10 + 100 * xnode, XAUTO_EV_RUN, seq, xnode, 0, 0);
       front.at(us + 90 + 100 * xnode, XAUTO_EV_FINISH, seq, xnode, 0, 0);
     }
