@@ -17,6 +17,7 @@ class Fnv {
     step(0);  // ends the field, so that ("ab", "c") and ("a", "bc") differ
   }
   void add(std::int64_t value) { add(std::to_string(value)); }
+  [[nodiscard]] std::uint64_t value() const { return hash_; }
   [[nodiscard]] std::string hex() const {
     char text[17];
     std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash_));

@@ -45,6 +45,13 @@ Status set_other() {
   return {};
 }
 
+Status set_nice(int nice) {
+  if (setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), nice) != 0)
+    return fail(ErrorCode::kPermission, "nice " + std::to_string(nice) + ": " + strerror(errno), {},
+                "it needs CAP_SYS_NICE, or a limit (LimitNICE=, `nice` of limits.d)");
+  return {};
+}
+
 bool may_use_fifo(int priority) {
   // Rights are the process's, so a thread that ends at once tells without touching the caller.
   bool allowed = false;

@@ -17,6 +17,8 @@ namespace xauto::rt {
 /// SCHED_FIFO at `priority`, 1..99. kPermission with fifo_hint() when the kernel refuses.
 [[nodiscard]] Status set_fifo(int priority);
 [[nodiscard]] Status set_other();
+/// Of the calling thread alone, and of threads that it makes: -20, the most, to 19. kPermission.
+[[nodiscard]] Status set_nice(int nice);
 /// Whether set_fifo(priority) would succeed for a thread of this process; changes nothing.
 [[nodiscard]] bool may_use_fifo(int priority);
 /// The highest priority for which that holds; 0: none.

@@ -175,6 +175,12 @@ std::uint64_t Meeting::run() const {
   const Guard lock(mutex_);
   return run_;
 }
+
+std::int64_t Meeting::clock_offset_ns() const {
+  const Guard lock(mutex_);
+  return start_tai_ns_ - start_ns_;
+}
+
 std::int64_t Meeting::start_ns() const {
   const Guard lock(mutex_);
   return start_ns_;

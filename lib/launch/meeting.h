@@ -47,6 +47,8 @@ class Meeting {
   void reached(PartStage stage);
   /// On our CLOCK_MONOTONIC; 0: not known yet.
   [[nodiscard]] std::int64_t start_ns() const;
+  /// CLOCK_TAI less our CLOCK_MONOTONIC, by which the start was fixed; 0: not known yet.
+  [[nodiscard]] std::int64_t clock_offset_ns() const;
   /// Why there will be no start.
   [[nodiscard]] std::optional<Error> error() const;
   /// Our report. On the first host: waits for those of the others that are there, at most `patience_ns`. Ends the meeting.

@@ -323,6 +323,7 @@ class Supervisor {
     const std::string text = Json{
         {"app", session.app.name},
         {"platform", session.platform.name},
+        {"host", session.host.name},
         {"scheduling", to_string(session.scheduling)},
         {"activations", session.releases.activations},
         {"pid", getpid()}}.dump();

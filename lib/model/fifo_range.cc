@@ -7,7 +7,7 @@
 namespace xauto {
 
 FifoRange FifoRange::within(int highest) {
-  if (highest <= 0) return {0, 0, 0, 0, 0};
+  if (highest <= 0) return {0, 0, 0, 0, 0, 0};
   highest = std::min(highest, kFifoHighest);
   // Levels above those of the CPUs' XNodes, as many as there are; with fewer than four, neighbours
   // share one: first sources with management, then that with the coordinators, then execution with
@@ -31,6 +31,7 @@ FifoRange FifoRange::within(int highest) {
   plan.execution = at(level[2], wanted.execution);
   plan.cpu_highest = at(0, wanted.cpu_highest);
   plan.cpu_lowest = std::min(wanted.cpu_lowest, plan.cpu_highest);
+  plan.carriers = plan.cpu_lowest - 1;
   return plan;
 }
 

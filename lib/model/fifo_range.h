@@ -3,7 +3,8 @@
 // (99), and how they are pressed into a smaller range, where the process's limit is lower. What
 // keeps its order: coordinators over management, so that a decision is not delayed by those who
 // wait for it; management over execution, so that a suspension is never delayed by what it
-// suspends; XNodes on real CPUs by the rank of their priority, the most urgent ones last to share.
+// suspends; XNodes on real CPUs by the rank of their priority, the most urgent ones last to share; what carries
+// messages to other hosts below every XNode.
 #pragma once
 
 #include <string>
@@ -20,6 +21,7 @@ struct FifoRange {
   int sources = 45;
   int execution = 40;  ///< of XPUs other than real CPUs: such a thread mostly waits
   int cpu_lowest = 2, cpu_highest = 39;  ///< XNodes on real CPUs, by policy priority
+  int carriers = 1;  ///< of messages between hosts; 0: there is none below the XNodes
 
   /// From 1 to `highest`, which is rt::highest_fifo(); 0: no priorities at all, all members 0.
   [[nodiscard]] static FifoRange within(int highest);

@@ -49,6 +49,7 @@ bool CrossingReader::arrive(std::uint64_t first, const detail::Envelope& message
 void CrossingReader::advance(std::int64_t now_ns) {
   while (!over()) {
     if (const auto at = waiting_.find(next_); at != waiting_.end()) {
+      if (now_ns < rule_.releases.due_ns(next_)) return;
       count_.none += at->second.message == nullptr && last_lost_ != next_ + 1 ? 1 : 0;
       ready_.push_back(std::move(at->second));
       waiting_.erase(at);
@@ -88,7 +89,8 @@ void CrossingReader::pass(std::int64_t now_ns, const Deliver& deliver) {
 }
 
 std::int64_t CrossingReader::next_ns() const {
-  return over() ? INT64_MAX : rule_.by_ns(next_) + 1;
+  if (over()) return INT64_MAX;
+  return waiting_.contains(next_) ? rule_.releases.due_ns(next_) : rule_.by_ns(next_) + 1;
 }
 
 }  // namespace xauto::parts

@@ -6,6 +6,9 @@
 // later is counted and thrown away. So nobody waits longer than X for anybody, and nobody needs to know how far the two
 // clocks are apart.
 //
+// Nor does one go on before its release, by our clock: a sender whose clock is ahead would start our jobs before their
+// earliest start, from which it follows what they know of what they sample.
+//
 // Messages go on in the order of releases. One that overtakes others waits for them, at most until their X: keys do not
 // fall from one release to the next, so that is before its own.
 //

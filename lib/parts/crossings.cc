@@ -89,10 +89,6 @@ detail::TopicSpec on_dds(const detail::TopicSpec& spec, std::uint64_t run) {
 const TopicQos kQos{
     .reliability = Reliability::kReliable, .durability = Durability::kVolatile, .depth = kDepth};
 
-double ms(std::int64_t ns) {
-  return static_cast<double>(ns) * 1e-6;
-}
-
 }  // namespace
 
 std::uint64_t PartStart::first(const Grid::Source& releases, std::int64_t shift_ns) const {
@@ -128,32 +124,45 @@ struct Crossings::Out {
 
 struct Crossings::In {
   std::size_t topic = 0;
+  runtime::CrossingLine* line = nullptr;
   std::string xnode, from, to;  ///< hosts
   CrossingReader::Rule rule;
   std::shared_ptr<transport::Subscriber> subscriber;
   std::optional<CrossingReader> reader = {};  ///< of the thread
   std::uint64_t told = 0;                     ///< losses
   std::uint64_t other_runs = 0, malformed = 0;
-  log::Refusals line{"parts"};
+  log::Refusals refusals{"parts"};
+  /// Onto the board. On the thread.
+  void count() const;
 };
 
-Result<std::unique_ptr<Crossings>> Crossings::open(const Context& context) {
+void Crossings::In::count() const {
+  const CrossingReader::Count& count = reader->count();
+  line->messages.store(count.expected - count.lost - count.none);
+  line->longest_ns.store(count.longest_ns);
+  line->latest_ns.store(count.latest_ns);
+  line->late.store(count.late);
+  line->lost.store(count.lost);
+}
+
+Result<std::unique_ptr<Crossings>> Crossings::open(const Context& context,
+                                                   std::function<void()> enter) {
   const runtime::HostPart& part = context.session.host;
   if (!part.there()) return nullptr;
   auto made = std::unique_ptr<Crossings>(new Crossings(context));
   XAUTO_ASSIGN(const auto releases, releases_of_modules(context.graph, context.session.app));
   std::vector<std::size_t> out, in;
-  transport::BridgeOptions options;
+  transport::BridgeOptions options{.enter = std::move(enter)};
   for (std::size_t t = 0; t < context.graph.topics.size(); ++t) {
     const Graph::Topic& topic = context.graph.topics[t];
-    if (topic.module < 0) continue;
-    const bool here = context.hosts(at(topic.module));
-    const bool crosses = std::ranges::any_of(topic.subscribers, [&](const Graph::Subscriber& s) {
-      return here ? !context.hosts(at(s.module)) : context.hosts(at(s.module));
-    });
-    // A program may be heard by others, too, in the same domain: whoever is first says the largest.
+    // Topics may be told to programs outside, too, in the same domain, whose limit is that of who comes first.
     options.largest_bytes = std::max(options.largest_bytes, largest(topic.spec));
-    if (crosses) (here ? out : in).push_back(t);
+    if (context.plan.comes_in(topic)) in.push_back(t);
+    if (topic.module >= 0 && context.hosts(at(topic.module)) &&
+        std::ranges::any_of(topic.subscribers, [&](const Graph::Subscriber& s) {
+          return !context.hosts(at(s.module));
+        }))
+      out.push_back(t);
   }
   if (out.empty() && in.empty()) return made;
   XAUTO_ASSIGN(options.domain, transport::ros_domain());
@@ -216,6 +225,11 @@ Status Crossings::open_in(std::size_t topic, const Grid::Source& releases) {
   }
   XAUTO_ASSIGN(in->subscriber, bridge_->subscribe(on_dds(spec.spec, session.host.run), kQos,
                                                   arrived_, static_cast<int>(kDepth)));
+  in->line = &context_.board.crossing(ins_.size());
+  runtime::name_line(in->line->xnode, in->xnode);
+  runtime::name_line(in->line->from, in->from);
+  runtime::name_line(in->line->to, in->to);
+  in->line->x_us = in->rule.x_us;
   ins_.push_back(std::move(in));
   return {};
 }
@@ -349,10 +363,10 @@ void Crossings::hear(In& in, const detail::Envelope& arrived, std::int64_t now_n
 /// At once: within a period of its sender.
 void Crossings::tell_losses(In& in) {
   const CrossingReader::Count& count = in.reader->count();
+  in.count();
   if (count.lost == in.told) return;
-  context_.board.header().crossing_lost.fetch_add(count.lost - in.told);
   in.told = count.lost;
-  in.line.tell(
+  in.refusals.tell(
       fmt::format("release {} of XNode '{}' was not here, from '{}' to '{}', by its key + X "
                   "= {:.3f} ms: it is lost",
                   in.reader->last_lost() - 1, in.xnode, in.from, in.to,
@@ -376,28 +390,10 @@ void Crossings::stop() {
   if (thread_.joinable()) thread_.join();
 }
 
-std::string Crossings::words_of(const In& in) const {
-  const CrossingReader::Count& count = in.reader->count();
-  std::string text = fmt::format(
-      "{} of {} messages of XNode '{}' were not here, from '{}' to '{}', by their key + X = {:.3f} "
-      "ms",
-      count.lost, count.expected, in.xnode, in.from, in.to,
-      static_cast<double>(in.rule.x_us) / 1000);
-  if (count.late > 0)
-    text += fmt::format(": {} came later, by up to {:.3f} ms", count.late, ms(count.latest_ns));
-  if (count.lost > count.late)
-    text += fmt::format("{} {} never came", count.late > 0 ? "," : ":", count.lost - count.late);
-  return text;
-}
-
 void Crossings::report(runtime::RunReport& into) const {
-  std::uint64_t lost = 0;
-  std::vector<std::string> words;
   for (const auto& in : ins_) {
     if (!in->reader) continue;
     const CrossingReader::Count& count = in->reader->count();
-    lost += count.lost;
-    if (count.lost > 0) words.push_back(words_of(*in));
     into.crossings.push_back({.xnode = in->xnode,
                               .from = in->from,
                               .to = in->to,
@@ -411,7 +407,6 @@ void Crossings::report(runtime::RunReport& into) const {
                               .refused = count.refused + in->malformed + in->subscriber->lost(),
                               .other_runs = in->other_runs});
   }
-  into.account.add("crossing_lost", lost, std::move(words));
   if (bridge_)
     for (const std::string& note : bridge_->notes()) runtime::add_note(into.note, note);
 }

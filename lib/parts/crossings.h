@@ -43,8 +43,10 @@ struct PartStart {
 /// Threads: one, apart from what it hands out.
 class Crossings {
  public:
-  /// Null: the run is not one part of several. Errors: a topic that cannot cross, no plug-in, no DDS.
-  [[nodiscard]] static Result<std::unique_ptr<Crossings>> open(const runtime::Context& context);
+  /// Null: the run is not one part of several. `enter`: of BridgeOptions. Before any other bridge of this process, whose
+  /// threads the first one makes. Errors: a topic that cannot cross, no plug-in, no DDS.
+  [[nodiscard]] static Result<std::unique_ptr<Crossings>> open(const runtime::Context& context,
+                                                               std::function<void()> enter);
   ~Crossings();
   Crossings(const Crossings&) = delete;
   Crossings& operator=(const Crossings&) = delete;
@@ -62,7 +64,7 @@ class Crossings {
   [[nodiscard]] bool finish(std::int64_t end_ns);
   /// Ends the ways in and out, after what waits has been sent.
   void stop();
-  /// After `stop`: the crossings, "crossing_lost", and what DDS has to say.
+  /// After `stop`: the crossings, and what DDS has to say. What was lost is on the board.
   void report(runtime::RunReport& into) const;
 
  private:
@@ -71,7 +73,6 @@ class Crossings {
   explicit Crossings(const runtime::Context& context);
   [[nodiscard]] Status open_out(std::size_t topic);
   [[nodiscard]] Status open_in(std::size_t topic, const runtime::Grid::Source& releases);
-  [[nodiscard]] std::string words_of(const In& in) const;
   void send(Out& out, const detail::Envelope& envelope) const;
   void run();
   bool take(In& in);

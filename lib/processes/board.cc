@@ -26,13 +26,14 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f51;  // "XBOQ"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f52;  // "XBOR"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
          shape.modules * sizeof(ModuleLine) + shape.nodes * sizeof(XNodeLine) +
          shape.flows * sizeof(FlowLine) + shape.parameters * sizeof(ParameterLine) +
-         shape.scenarios * sizeof(ScenarioLine) + shape.xpus * sizeof(XpuLine);
+         shape.scenarios * sizeof(ScenarioLine) + shape.xpus * sizeof(XpuLine) +
+         shape.crossings * sizeof(CrossingLine);
 }
 
 void fill(void* memory, const BoardShape& s) {
@@ -45,6 +46,7 @@ void fill(void* memory, const BoardShape& s) {
   header->parameters = s.parameters;
   header->scenarios = s.scenarios;
   header->xpus = s.xpus;
+  header->crossings = s.crossings;
   auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
   for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
   auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
@@ -59,6 +61,8 @@ void fill(void* memory, const BoardShape& s) {
   for (std::uint32_t k = 0; k < s.scenarios; ++k) new (scenarios + k) ScenarioLine;
   auto* xpus = reinterpret_cast<XpuLine*>(scenarios + s.scenarios);
   for (std::uint32_t x = 0; x < s.xpus; ++x) new (xpus + x) XpuLine;
+  auto* crossings = reinterpret_cast<CrossingLine*>(xpus + s.xpus);
+  for (std::uint32_t c = 0; c < s.crossings; ++c) new (crossings + c) CrossingLine;
 }
 
 }  // namespace
@@ -75,7 +79,8 @@ Board::Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& sha
       flows_(reinterpret_cast<FlowLine*>(xnodes_ + shape.nodes)),
       parameters_(reinterpret_cast<ParameterLine*>(flows_ + shape.flows)),
       scenarios_(reinterpret_cast<ScenarioLine*>(parameters_ + shape.parameters)),
-      xpus_(reinterpret_cast<XpuLine*>(scenarios_ + shape.scenarios)) {}
+      xpus_(reinterpret_cast<XpuLine*>(scenarios_ + shape.scenarios)),
+      crossings_(reinterpret_cast<CrossingLine*>(xpus_ + shape.xpus)) {}
 
 Board::~Board() {
   if (mapped_)
@@ -94,7 +99,7 @@ std::shared_ptr<Board> Board::local(const BoardShape& shape) {
 Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& fd) {
   if (shape.processes == 0 || shape.processes > kMaxProcesses || shape.modules > kMaxXNodes ||
       shape.nodes > kMaxXNodes || shape.flows > kMaxFlows || shape.parameters > kMaxParameters ||
-      shape.scenarios > kMaxScenarios || shape.xpus > kMaxXpus)
+      shape.scenarios > kMaxScenarios || shape.xpus > kMaxXpus || shape.crossings > kMaxXNodes)
     return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
                                          std::to_string(shape.modules) + " modules are too many");
   const std::size_t bytes = bytes_of(shape);
@@ -122,7 +127,7 @@ Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
   const BoardHeader& h = *board->header_;
   if (h.magic != kBoardMagic || h.processes != shape.processes || h.modules != shape.modules ||
       h.nodes != shape.nodes || h.flows != shape.flows || h.parameters != shape.parameters ||
-      h.scenarios != shape.scenarios || h.xpus != shape.xpus)
+      h.scenarios != shape.scenarios || h.xpus != shape.xpus || h.crossings != shape.crossings)
     return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
                 "all processes of an app must be of one build");
   return board;
@@ -155,13 +160,13 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
   const auto* header = static_cast<const BoardHeader*>(memory);
   const BoardShape shape{header->processes,  header->modules,   header->nodes, header->flows,
-                         header->parameters, header->scenarios, header->xpus};
-  const bool whole = header->magic == kBoardMagic &&
-                     header->told.load(std::memory_order_acquire) != 0 && shape.processes >= 1 &&
-                     shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
-                     shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
-                     shape.parameters <= kMaxParameters && shape.scenarios <= kMaxScenarios &&
-                     shape.xpus <= kMaxXpus && bytes_of(shape) == bytes;
+                         header->parameters, header->scenarios, header->xpus,  header->crossings};
+  const bool whole =
+      header->magic == kBoardMagic && header->told.load(std::memory_order_acquire) != 0 &&
+      shape.processes >= 1 && shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
+      shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
+      shape.parameters <= kMaxParameters && shape.scenarios <= kMaxScenarios &&
+      shape.xpus <= kMaxXpus && shape.crossings <= kMaxXNodes && bytes_of(shape) == bytes;
   if (!whole) {
     munmap(memory, bytes);
     return fail(ErrorCode::kUnavailable, "the app has not started yet");
@@ -251,6 +256,21 @@ void XpuLine::tell_shared(const std::string& with) {
 
 void XpuLine::tell_crowd(const std::string& by) {
   tell_once(crowd_told, crowd_by, by);
+}
+
+std::string CrossingLine::words_of_lost() const {
+  const std::uint64_t gone = lost.load(), came = late.load();
+  if (gone == 0) return {};
+  std::string text = fmt::format(
+      "{} of {} messages of XNode '{}' were not here, from '{}' to '{}', by their key + X = {:.3f} "
+      "ms",
+      gone, gone + messages.load(), line_name(xnode), line_name(from), line_name(to),
+      static_cast<double>(x_us) / 1000);
+  if (came > 0)
+    text += fmt::format(": {} came later, by up to {:.3f} ms", came,
+                        static_cast<double>(latest_ns.load()) * 1e-6);
+  if (gone > came) text += fmt::format("{} {} never came", came > 0 ? "," : ":", gone - came);
+  return text;
 }
 
 std::string XpuLine::words_of_sharing() const {

@@ -56,7 +56,7 @@ class SpannedLine {
 
 struct alignas(64) BoardHeader {
   std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0,
-                scenarios = 0, xpus = 0;
+                scenarios = 0, xpus = 0, crossings = 0;
   std::atomic<std::uint32_t> told{};      ///< [H] what is there "before the run" is there
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
@@ -73,9 +73,8 @@ struct alignas(64) BoardHeader {
   ContextCounts contexts{};                    ///< by the workers of all processes
   std::atomic<std::uint64_t> daemon_deaths{};  ///< [S] of the emulator and coordinators
   // Of one host's part of a run:
-  std::atomic<std::uint64_t> crossing_lost{};  ///< [H] messages that were not here by their X
-  std::atomic<std::uint32_t> part_ready{};     ///< [H] PartReady
-  std::atomic<std::int64_t> part_start_ns{};   ///< [S] when its releases begin; 0: not known yet
+  std::atomic<std::uint32_t> part_ready{};    ///< [H] PartReady
+  std::atomic<std::int64_t> part_start_ns{};  ///< [S] when its releases begin; 0: not known yet
   // Of a run with tables:
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
@@ -112,7 +111,7 @@ constexpr std::uint32_t table_in(std::uint64_t word) {
 /// What is counted, and checked when memory of another process is mapped.
 struct BoardShape {
   std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1, parameters = 0, scenarios = 0,
-                xpus = 0;
+                xpus = 0, crossings = 0;
 };
 
 inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
@@ -302,6 +301,20 @@ struct alignas(64) XpuLine {
   [[nodiscard]] std::string words_of_crowd() const;
 };
 
+/// What this host's part reads of an XNode of another host (parts/crossing_reader.h).
+struct alignas(64) CrossingLine {
+  char xnode[kBoardNameBytes] = {};  ///< [H] before the run, as all up to `messages`
+  char from[kBoardNameBytes] = {}, to[kBoardNameBytes] = {};  ///< hosts
+  std::int64_t x_us = 0;
+  std::atomic<std::uint64_t> messages{};   ///< [H] that were here by their X
+  std::atomic<std::uint64_t> lost{};       ///< [H] that were not
+  std::atomic<std::uint64_t> late{};       ///< [H] of these: they came later
+  std::atomic<std::int64_t> longest_ns{};  ///< [H] of those in time, from the sender's key
+  std::atomic<std::int64_t> latest_ns{};   ///< [H] by how much one was too late
+  /// In words; empty: none was lost.
+  [[nodiscard]] std::string words_of_lost() const;
+};
+
 struct alignas(64) ProcessLine {
   transport::Doorbell doorbell;
   std::atomic<std::uint32_t> stand_in{};  ///< [H] whose doorbell is rung instead: its own index, or
@@ -357,6 +370,8 @@ class Board {
   [[nodiscard]] const ScenarioLine& scenario(std::size_t index) const { return scenarios_[index]; }
   XpuLine& xpu(std::size_t index) { return xpus_[index]; }
   [[nodiscard]] const XpuLine& xpu(std::size_t index) const { return xpus_[index]; }
+  CrossingLine& crossing(std::size_t index) { return crossings_[index]; }
+  [[nodiscard]] const CrossingLine& crossing(std::size_t index) const { return crossings_[index]; }
   [[nodiscard]] BoardHeader& header() { return *header_; }
   [[nodiscard]] const BoardHeader& header() const { return *header_; }
   /// Which one a release has; known from before it is published on.
@@ -402,6 +417,7 @@ class Board {
   ParameterLine* parameters_;
   ScenarioLine* scenarios_;
   XpuLine* xpus_;
+  CrossingLine* crossings_;
 };
 
 /// Rings the readers of one topic.

@@ -169,9 +169,7 @@ class Watched {
     }
     add("lost_activation", lost, fmt::format("{} activations were lost", lost));
     add("process_death", deaths, "processes of the run died");
-    const std::uint64_t late = board_.header().crossing_lost.load();
-    add("crossing_lost", late,
-        fmt::format("{} messages of other hosts were not here by their key + X", late));
+    crossings();
     // When it is over, who looked after them names each.
     const std::uint64_t daemons = board_.header().daemon_deaths.load();
     if (account_.goes_on)
@@ -179,6 +177,16 @@ class Watched {
   }
 
  private:
+  void crossings() {
+    std::uint64_t lost = 0;
+    std::vector<std::string> words;
+    for (std::uint32_t c = 0; c < board_.shape().crossings; ++c) {
+      const CrossingLine& line = board_.crossing(c);
+      lost += line.lost.load();
+      if (const std::string text = line.words_of_lost(); !text.empty()) words.push_back(text);
+    }
+    account_.add("crossing_lost", lost, std::move(words));
+  }
   [[nodiscard]] bool tables() const { return board_.shape().scenarios > 0; }
   void add(std::string_view kind, std::uint64_t count, std::string words) {
     account_.add(kind, count, count > 0 ? std::move(words) : std::string());

@@ -41,10 +41,6 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     options.largest_bytes = std::max(options.largest_bytes, largest(topic->spec));
   }
   if (out.empty() && in.empty()) return nullptr;
-  // What crosses between hosts (lib/parts/) is in the same domain, whose limit is that of who comes first.
-  if (session.host.there())
-    for (const Graph::Topic& topic : graph.topics)
-      options.largest_bytes = std::max(options.largest_bytes, largest(topic.spec));
   XAUTO_ASSIGN(options.domain, transport::ros_domain());
   auto interop = std::unique_ptr<Interop>(new Interop);
   XAUTO_ASSIGN(interop->bridge_, transport::open_bridge("cyclonedds", options));

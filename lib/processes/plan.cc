@@ -36,6 +36,11 @@ void take_hosts(const Graph& graph, const Session& session, Plan& plan) {
 
 }  // namespace
 
+bool Plan::comes_in(const Graph::Topic& topic) const {
+  return topic.module >= 0 && process_of[static_cast<std::size_t>(topic.module)] == kElsewhere &&
+         heard_here(topic);
+}
+
 Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
                         const Session& session) {
   Plan plan;
@@ -101,7 +106,9 @@ BoardShape shape_of(const Plan& plan, const Graph& graph, const Session& session
           static_cast<std::uint32_t>(flows),
           static_cast<std::uint32_t>(parameters),
           static_cast<std::uint32_t>(session.tables ? session.tables->scenarios.size() : 0),
-          static_cast<std::uint32_t>(session.platform.xpus.size())};
+          static_cast<std::uint32_t>(session.platform.xpus.size()),
+          static_cast<std::uint32_t>(std::ranges::count_if(
+              graph.topics, [&](const Graph::Topic& topic) { return plan.comes_in(topic); }))};
 }
 
 }  // namespace xauto::runtime

@@ -28,6 +28,8 @@ struct Plan {
 
   /// Whether some module that is here is fired by `topic`, or samples it.
   [[nodiscard]] bool heard_here(const Graph::Topic& topic) const;
+  /// ... and another host publishes it.
+  [[nodiscard]] bool comes_in(const Graph::Topic& topic) const;
 
   /// Errors: a module named twice or unknown, a topic that cannot leave its process.
   [[nodiscard]] static Result<Plan> make(const Graph& graph, const detail::AppSpecErased& app,

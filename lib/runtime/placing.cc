@@ -11,6 +11,7 @@
 
 #include "base/log.h"
 #include "base/rt.h"
+#include "base/thread.h"
 #include "model/claims.h"
 #include "model/contention.h"
 #include "session/claimed_wcets.h"
@@ -64,6 +65,33 @@ FifoRange choose_priorities(const Session& session, FifoRange& fifo, std::string
   FifoRange plan = fifo;
   if (!real_cpus_wanted) plan.cpu_lowest = plan.cpu_highest = 0;
   return plan;
+}
+
+/// Below every XNode, and above what has no priority. sched_ext has its XNodes above all ordinary threads and below
+/// SCHED_FIFO, so there it is the most of the ordinary ones.
+std::function<void()> choose_carriers(const Session& session, const FifoRange& fifo,
+                                      std::string& note) {
+  if (!session.host.there()) return nullptr;
+  const bool ext = session.cpu.sched == CpuSched::kExt;
+  const std::function<Status()> enter = [ext, priority = fifo.carriers] {
+    return ext ? rt::set_nice(-20) : rt::set_fifo(priority);
+  };
+  const std::vector<int> cpus = session.platform.instances_of("cpu");
+  const bool unordered =
+      session.cpu.sched == CpuSched::kOther &&
+      std::ranges::any_of(cpus, [&](int x) { return session.presence_of(x) == Presence::kReal; });
+  Status may = fail(ErrorCode::kPermission, "there is no priority below the XNodes'", {},
+                    unordered ? "run without --cpu-sched other" : rt::fifo_hint());
+  if (ext || (!unordered && fifo.carriers > 0))
+    if (auto tries = start_thread([&] { may = enter(); })) tries->join();
+  if (may) return [enter] { (void)enter(); };
+  const std::string line =
+      "what crosses to other hosts has no priority, so this host's load counts "
+      "in X: " +
+      may.error().what + ": " + may.error().hint;
+  add_note(note, line);
+  log::warn("{}", line);
+  return nullptr;
 }
 
 /// Whether the policy's pairs of XNodes are kept, on all XPUs.
@@ -210,6 +238,7 @@ bool claims_worst_case(const Session& session) {
 Placing Placing::of(const Session& session, const Graph& graph) {
   Placing placing;
   placing.workers = choose_priorities(session, placing.fifo, placing.note);
+  placing.carriers = choose_carriers(session, placing.fifo, placing.note);
   if (session.scheduling == Scheduling::kXAuto) {
     for (std::size_t t = 0; t < session.num_tables(); ++t)
       placing.fifo_by_xnode.push_back(placing.workers.by_rank(session.of_table(t)));

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -23,10 +24,12 @@ struct Placing {
   FifoRange fifo, workers;
   /// [table][XNode] of XNodes on real CPUs; empty: nobody schedules.
   std::vector<std::vector<int>> fifo_by_xnode;
-  std::vector<int> cores;             ///< the kernel's numbers of the platform's CPUs, in order
-  bool ordered = false;               ///< order constraints are kept
-  std::vector<std::uint32_t> xnode;   ///< [graph node] -> index in app.json
-  std::vector<std::vector<int>> xpu;  ///< [table][graph node]; -1: none has an implementation
+  std::vector<int> cores;  ///< the kernel's numbers of the platform's CPUs, in order
+  /// Gives the calling thread its priority, if it carries messages to other hosts; empty: none.
+  std::function<void()> carriers;
+  bool ordered = false;                     ///< order constraints are kept
+  std::vector<std::uint32_t> xnode;         ///< [graph node] -> index in app.json
+  std::vector<std::vector<int>> xpu;        ///< [table][graph node]; -1: none has an implementation
   std::vector<std::vector<Limits>> limits;  ///< [table][graph node]
   std::vector<char> ends_chain;             ///< [graph node] 1: one does, and its module goes on
   std::string note;  ///< what falls short of what a run would like, for people

@@ -56,8 +56,8 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
   }
   w.channels_.resize(topics);
   XAUTO_TRY(w.open_topics());
+  XAUTO_ASSIGN(w.crossings_, parts::Crossings::open(context, placing.carriers));
   XAUTO_ASSIGN(w.interop_, Interop::open(context.graph, context.plan, session));
-  XAUTO_ASSIGN(w.crossings_, parts::Crossings::open(context));
   w.modules_.resize(modules);
   for (std::size_t m = 0; m < modules; ++m)
     if (context.hosts(m)) XAUTO_TRY(w.make_module(m, host));

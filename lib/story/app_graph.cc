@@ -90,6 +90,7 @@ constexpr int kCellDown = 74,
               kSampledDown = 96;  // of an app that samples: room for words and lines
 constexpr int kBandHead = 44;     // of a band, with its name
 constexpr std::size_t kNodeName = 22, kNodeWords = 27;  // bytes that fit into a node
+constexpr std::size_t kBelowNode = 34;
 
 constexpr const char* kGraphStyle = R"(<style>
   :root { --fg:#1c1f24; --dim:#5c636e; --line:#d5d9df; --lane:#f4f5f7; --box:#fff }
@@ -97,7 +98,7 @@ constexpr const char* kGraphStyle = R"(<style>
   svg { background:var(--box) } text { fill:var(--fg) } .dim { fill:var(--dim); font-size:11px } .b { font-weight:650 }
   .lane { fill:var(--lane) } .module { fill:none; stroke:var(--dim); stroke-opacity:.6 }
   .node { fill:var(--box); stroke-width:2 } .none { stroke:var(--dim) }
-  .line { fill:none; stroke:var(--dim); stroke-width:1.3 }
+  .line { fill:none; stroke:var(--dim); stroke-width:1.3 } .cross { stroke:#0072B2; stroke-width:2.2 } text.crosses { fill:#0072B2; font-size:11px; text-anchor:end }
   .line.sample { stroke:#c2571a; stroke-width:1.8; stroke-dasharray:6 4 } text.samples { fill:#c2571a; font-size:11px }
 </style>
 <defs><marker id="end" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z" fill="#808894"/></marker><marker id="read" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="6" markerHeight="6" orient="auto"><path d="M0 0L8 4L0 8z" fill="#c2571a"/></marker></defs>
@@ -208,29 +209,33 @@ class Drawing {
     }
   }
 
-  Band& band_of(int source) {
+  Band& band_of(int source, int host) {
+    const std::string on = host < 0 ? "" : "host " + places_.platform->hosts[at(host)].name + ", ";
     if (source < 0) {
-      Band& band = bands_[{-1, 0}];
-      band.name = "how often is not known";
+      Band& band = bands_[{host, -1, 0}];
+      band.name = on + "how often is not known";
       return band;
     }
     const SourceSpec& s = app_.sources[at(source)];
-    Band& band =
-        bands_[{s.clock, static_cast<double>(s.period.num) / static_cast<double>(s.period.den)}];
-    band.name = source_note(app_, s);
+    Band& band = bands_[{host, s.clock,
+                         static_cast<double>(s.period.num) / static_cast<double>(s.period.den)}];
+    band.name = on + source_note(app_, s);
     return band;
   }
 
   void make_bands() {
     const std::vector<int> slowest = slowest_sources(app_);
     for (std::size_t i = 0; i < count_; ++i)
-      band_of(slowest[i]).boxes[app_.xnodes[i].module].xnodes.push_back(i);
-    std::vector<char> heard(app_.sources.size(), 0);
-    for (std::size_t i = 0; i < count_; ++i)
-      for (const int s : app_.xnodes[i].sources) heard[at(s)] = 1;
+      band_of(slowest[i], places_.host(static_cast<int>(i)))
+          .boxes[app_.xnodes[i].module]
+          .xnodes.push_back(i);
+    std::vector<int> heard_by(app_.sources.size(), -1);  // the first
+    for (std::size_t i = count_; i-- > 0;)
+      for (const int s : app_.xnodes[i].sources) heard_by[at(s)] = static_cast<int>(i);
     source_cells_.resize(app_.sources.size());
-    for (std::size_t s = 0; s < heard.size(); ++s)
-      if (heard[s] != 0) band_of(static_cast<int>(s)).sources.push_back(s);
+    for (std::size_t s = 0; s < heard_by.size(); ++s)
+      if (heard_by[s] >= 0)
+        band_of(static_cast<int>(s), places_.host(heard_by[s])).sources.push_back(s);
   }
 
   /// The first rows, from `wanted` on, that are free from column `first` to `last`.
@@ -324,14 +329,17 @@ class Drawing {
   }
 
   /// From the right side of one to the left side of the other.
-  static std::string arrow(const Cell& from, const Cell& to, const std::string& title) {
+  static std::string arrow(const Cell& from, const Cell& to, const std::string& title,
+                           const std::string& crossing = {}) {
     const int x1 = x_of(from.column) + kCellWidth, y1 = from.y + kCellHeight / 2;
     const int x2 = x_of(to.column), y2 = to.y + kCellHeight / 2;
     const int bend = x2 > x1 ? std::max(24, (x2 - x1) / 2) : 80;
     return fmt::format(
-        "<path d=\"M{} {}C{} {} {} {} {} {}\" class=\"line\" marker-end=\"url(#end)\">"
-        "<title>{}</title></path>\n",
-        x1, y1, x1 + bend, y1, x2 - bend, y2, x2, y2, xml_safe(title));
+               "<path d=\"M{} {}C{} {} {} {} {} {}\" class=\"line{}\" marker-end=\"url(#end)\">"
+               "<title>{}</title></path>\n",
+               x1, y1, x1 + bend, y1, x2 - bend, y2, x2, y2, crossing.empty() ? "" : " cross",
+               xml_safe(title)) +
+           (crossing.empty() ? "" : text(x2 - 2, y2 - 5, "crosses", crossing));
   }
 
   /// Never behind a node: down beside who is sampled, along below its row, and to the reader from the left. What leaves one
@@ -366,7 +374,8 @@ class Drawing {
     for (const auto& [u, v] : app_.edges)
       if (one_more(at(u) < count_ && at(v) < count_))
         out += arrow(cells_[at(u)], cells_[at(v)],
-                     app_.xnodes[at(u)].name + " before " + app_.xnodes[at(v)].name);
+                     app_.xnodes[at(u)].name + " before " + app_.xnodes[at(v)].name,
+                     places_.crossing(u, v));
     std::map<int, int> lanes;  // by who is sampled
     for (const auto& [u, v] : app_.samples)
       if (one_more(at(u) < count_ && at(v) < count_))
@@ -406,10 +415,14 @@ class Drawing {
   [[nodiscard]] std::string sampled_by(std::size_t i) const {
     std::string names;
     for (const auto& [u, v] : app_.samples)
-      if (at(v) == i) names += (names.empty() ? "samples " : ", ") + app_.xnodes[at(u)].name;
+      if (at(v) == i) {
+        const std::string crossing = places_.crossing(u, v);
+        names += (names.empty() ? "samples " : ", ") + app_.xnodes[at(u)].name +
+                 (crossing.empty() ? "" : " (" + crossing + ")");
+      }
     if (names.empty()) return {};
     return text(x_of(cells_[i].column), cells_[i].y + kCellHeight + 13, "samples",
-                clipped(names, kNodeWords));
+                clipped(names, kBelowNode));
   }
 
   [[nodiscard]] std::string source(std::size_t s) const {
@@ -451,35 +464,59 @@ class Drawing {
   const int down_;           ///< from one row to the next
   int columns_ = 1;
   std::vector<Cell> cells_, source_cells_;
-  std::map<std::pair<int, double>, Band> bands_;  ///< by clock, then by period
+  std::map<std::tuple<int, int, double>, Band> bands_;  ///< by host, clock, period
   std::size_t lines_ = 0, drawn_lines_ = 0;
 };
 
 }  // namespace
+
+std::string GraphPlaces::crossing(int u, int v) const {
+  if (host(u) == host(v)) return {};
+  const auto found = std::ranges::find_if(
+      crossings, [&](const Crossing& c) { return c.from == u && c.host == host(v); });
+  return found == crossings.end() ? std::string("no X") : "X " + short_ms(found->x_us);
+}
 
 std::string graph_dot(const AppSpec& app, const GraphPlaces& places) {
   std::string out = "digraph " + quoted(app.name) + " {\n  rankdir=LR;\n  node [shape=box];\n";
   for (std::size_t s = 0; s < app.sources.size(); ++s)
     out += fmt::format("  s{} [shape=ellipse, label={}];\n", s,
                        label(app.sources[s].name, source_note(app, app.sources[s])));
-  std::map<std::string, std::vector<std::size_t>> modules;
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i) modules[app.xnodes[i].module].push_back(i);
+  std::map<int, std::map<std::string, std::vector<std::size_t>>> hosts;  // of modules
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    hosts[places.host(static_cast<int>(i))][app.xnodes[i].module].push_back(i);
   std::size_t number = 0;
-  for (const auto& [module, xnodes] : modules) {
-    out += fmt::format("  subgraph cluster_{} {{\n    label={};\n", number++, quoted(module));
-    for (const std::size_t i : xnodes)
-      out += fmt::format("    x{} [label={}];\n", i,
-                         label(app.xnodes[i].name, place_of(app, places, i)));
-    out += "  }\n";
+  for (const auto& [host, modules] : hosts) {
+    if (host >= 0)
+      out += fmt::format("  subgraph cluster_host{} {{\n    label={}; style=dashed;\n", host,
+                         quoted("host " + places.platform->hosts[at(host)].name));
+    for (const auto& [module, xnodes] : modules) {
+      out += fmt::format("  subgraph cluster_{} {{\n    label={};{}\n", number++, quoted(module),
+                         host < 0 ? "" : " style=solid;");
+      for (const std::size_t i : xnodes)
+        out += fmt::format("    x{} [label={}];\n", i,
+                           label(app.xnodes[i].name, place_of(app, places, i)));
+      out += "  }\n";
+    }
+    if (host >= 0) out += "  }\n";
   }
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     for (const int s : app.xnodes[i].sources) out += fmt::format("  s{} -> x{};\n", s, i);
-  for (const auto& [u, v] : app.edges) out += fmt::format("  x{} -> x{};\n", u, v);
-  for (const auto& [u, v] : app.samples)
+  for (const auto& [u, v] : app.edges) {
+    const std::string crossing = places.crossing(u, v);
+    out += fmt::format("  x{} -> x{}{};\n", u, v,
+                       crossing.empty()
+                           ? ""
+                           : " [color=\"#0072B2\", fontcolor=\"#0072B2\", penwidth=2, label=" +
+                                 quoted(crossing) + "]");
+  }
+  for (const auto& [u, v] : app.samples) {
+    const std::string crossing = places.crossing(u, v);
     out += fmt::format(
         "  x{} -> x{} [style=dashed, constraint=false, color=\"#c2571a\", fontcolor=\"#c2571a\", "
-        "label=\"sampled\"];\n",
-        u, v);
+        "label={}];\n",
+        u, v, quoted("sampled" + (crossing.empty() ? "" : ", " + crossing)));
+  }
   return out + "}\n";
 }
 

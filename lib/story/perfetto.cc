@@ -166,6 +166,8 @@ std::string PerfettoWriter::write(std::int64_t clock_offset_ns) const {
       }
       for (const std::uint64_t flow : details.flows_out) out.add_flow_ids(base + flow);
       for (const std::uint64_t flow : details.flows_in) out.add_terminating_flow_ids(base + flow);
+      for (const std::uint64_t flow : details.across_out) out.add_flow_ids(flow);
+      for (const std::uint64_t flow : details.across_in) out.add_terminating_flow_ids(flow);
     }
     append(file, packet);
   }

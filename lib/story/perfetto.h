@@ -32,6 +32,8 @@ class PerfettoWriter {
     std::string category;
     std::vector<Arg> args;
     std::vector<std::uint64_t> flows_out, flows_in;  ///< arrows that begin, end here
+    /// Those from and to other files: numbers of 64 bits on which both agree.
+    std::vector<std::uint64_t> across_out, across_in;
   };
 
   /// Children are shown in the order in which they were added. Siblings of one name are lanes of

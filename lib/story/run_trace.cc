@@ -8,10 +8,13 @@
 #include <algorithm>
 #include <map>
 #include <optional>
+#include <set>
+#include <tuple>
 #include <utility>
 
 #include <fmt/format.h>
 
+#include "base/fnv.h"
 #include "story/job_tracks.h"
 #include "story/lanes.h"
 #include "story/perfetto.h"
@@ -90,7 +93,7 @@ struct Piece {
 class Painter {
  public:
   Painter(const AppSpec& app, const Scene& scene, const Story& story)
-      : app_(app), scene_(scene), story_(story) {}
+      : app_(app), scene_(scene), story_(story), out_(scene.group) {}
 
   std::string paint(std::int64_t clock_offset_ns) {
     root_ = out_.add_track(PerfettoWriter::kNoParent, scene_.title, scene_.note);
@@ -298,6 +301,7 @@ class Painter {
         if (first < 0) first = static_cast<int>(j);
       }
     connect_samples(first_job, last_job);
+    if (!scene_.elsewhere.empty()) connect_hosts(last_job);
 
     const auto predecessors = app_.predecessors();
     const auto successors = app_.successors();
@@ -320,7 +324,12 @@ class Painter {
       const int own = job.activation;
       const std::vector<Take>& takes = takes_of(own);
       if (!from_somewhere) {  // its origin
-        for (const Take& take : takes) connect_take(take, last_job, *first, begin_of(first_[j]));
+        for (const Take& take : takes) {
+          connect_take(take, last_job, *first, begin_of(first_[j]));
+          if (elsewhere(take.module))  // activations of a component are numbered alike
+            first->across_in.push_back(
+                across(take.module, job.module, static_cast<std::int64_t>(job.sequence)));
+        }
         if (takes.empty() && own >= 0)
           arrow(activations_[static_cast<std::size_t>(own)], *first,
                 story_.activations[static_cast<std::size_t>(own)].begin_ns < begin_of(first_[j]));
@@ -335,6 +344,38 @@ class Painter {
       if (output && activation.fate == Fate::kDone)
         arrow(*last_piece(j), results_[static_cast<std::size_t>(own)],
               begin_of(last_[j]) <= activation.end_ns);
+    }
+  }
+
+  [[nodiscard]] bool elsewhere(int module) const {
+    return static_cast<std::size_t>(module) < scene_.elsewhere.size() &&
+           scene_.elsewhere[static_cast<std::size_t>(module)];
+  }
+  /// Of the arrow from an activation of a module to one of a module of another host: both hosts' files have it.
+  [[nodiscard]] std::uint64_t across(int from, int to, std::int64_t number) const {
+    Fnv fnv;
+    for (const int module : {from, to})
+      fnv.add(scene_.modules[static_cast<std::size_t>(module)].name);
+    fnv.add(number);
+    return fnv.value() | std::uint64_t{1} << 63U;  // none that this file counts
+  }
+  /// Arrows to other hosts, from what published.
+  void connect_hosts(const std::vector<int>& last_job) {
+    std::set<std::pair<std::string, std::string>> heard;  // modules
+    for (const auto* pairs : {&app_.edges, &app_.samples})
+      for (const auto& [u, v] : *pairs)
+        heard.emplace(app_.xnodes[static_cast<std::size_t>(u)].module,
+                      app_.xnodes[static_cast<std::size_t>(v)].module);
+    for (std::size_t a = 0; a < story_.activations.size(); ++a) {
+      const Activation& done = story_.activations[a];
+      if (done.fate != Fate::kDone || last_job[a] < 0) continue;
+      for (int to = 0; to < static_cast<int>(scene_.elsewhere.size()); ++to)
+        if (elsewhere(to) &&
+            heard.contains({scene_.modules[static_cast<std::size_t>(done.module)].name,
+                            scene_.modules[static_cast<std::size_t>(to)].name}))
+          last_piece(static_cast<std::size_t>(last_job[a]))
+              ->across_out.push_back(
+                  across(done.module, to, static_cast<std::int64_t>(done.sequence)));
     }
   }
 
@@ -353,11 +394,17 @@ class Painter {
   /// Through the instant at which it was read, so that a reader of the file can tell it from what
   /// fires.
   void connect_samples(const std::vector<int>& first_job, const std::vector<int>& last_job) {
+    std::set<std::tuple<int, int, std::int64_t>>
+        first_reads;  // an arrow from another host ends once
     for (std::size_t a = 0; a < story_.activations.size(); ++a) {
       const std::vector<SampleRead>& reads = story_.activations[a].samples;
       samples_[a].resize(reads.size());
       for (std::size_t i = 0; i < reads.size(); ++i) {
         const SampleRead& read = reads[i];
+        const int reader = story_.activations[a].module;
+        if (read.number >= 0 && elsewhere(read.module) &&
+            first_reads.emplace(read.module, reader, read.number).second)
+          samples_[a][i].across_in.push_back(across(read.module, reader, read.number));
         if (read.from >= 0)
           connect_take({read.source, read.module, 0, false, read.from}, last_job, samples_[a][i],
                        read.read_ns);
@@ -430,6 +477,7 @@ class Painter {
     std::vector<std::vector<Piece*>> by_row(scene_.rows.size());
     for (Piece& piece : run_) by_row[static_cast<std::size_t>(piece.row)].push_back(&piece);
     for (std::size_t r = 0; r < scene_.rows.size(); ++r) {
+      if (!scene_.rows[r].here) continue;
       const Track track =
           paint_lanes(group, scene_.rows[r].name, "", by_row[r], scene_.rows[r].exclusive);
       paint_windows(out_, track, static_cast<int>(r), app_, scene_, story_);
@@ -482,6 +530,7 @@ class Painter {
       }
     }
     for (std::size_t m = 0; m < entries.size(); ++m) {
+      if (elsewhere(static_cast<int>(m))) continue;
       std::stable_sort(entries[m].begin(), entries[m].end(), [](const Entry& a, const Entry& b) {
         return a.begin != b.begin ? a.begin < b.begin : a.depth < b.depth;
       });
@@ -553,7 +602,8 @@ class Painter {
       steps[static_cast<std::size_t>(a.module)].emplace_back(a.end_ns, -1);
     }
     for (std::size_t m = 0; m < steps.size(); ++m)
-      paint_counter(group, scene_.modules[m].name + " in flight", std::move(steps[m]));
+      if (!elsewhere(static_cast<int>(m)))
+        paint_counter(group, scene_.modules[m].name + " in flight", std::move(steps[m]));
   }
 
   using Steps = std::vector<std::pair<std::int64_t, std::int64_t>>;  ///< time, change
@@ -585,6 +635,7 @@ class Painter {
         steps->emplace_back(phase.end_ns, -1);
       }
     for (std::size_t r = 0; r < scene_.rows.size(); ++r) {
+      if (!scene_.rows[r].here) continue;
       paint_counter(group, scene_.rows[r].name + " jobs waiting", std::move(waiting[r]));
       paint_counter(group, scene_.rows[r].name + " jobs suspended", std::move(suspended[r]));
     }

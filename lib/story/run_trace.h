@@ -21,6 +21,7 @@ namespace xauto::story {
 struct Row {
   std::string name;
   bool exclusive = true;  ///< at most one job at a time: an overlap is a late time stamp
+  bool here = true;       ///< false: of another host, whose part draws it
 };
 
 /// Of a run with tables that is over, what its report says of a scenario and of a change. -1: not known, or of a
@@ -49,6 +50,10 @@ struct Scene {
   std::vector<ChainClaim> claims;        ///< [chain]; empty: nothing is claimed
   std::vector<ChainCounts> counts;       ///< of a run that is over
   std::string verdict;                   ///< ... and what became of it in this run
+  /// Of a host's part of a run. Files of all parts, one behind the other, are one timeline: tracks stay apart by `group`,
+  /// from 1 on, and arrows cross.
+  std::uint32_t group = 1;
+  std::vector<bool> elsewhere = {};  ///< [module] it is on another host; empty: none is
 };
 
 /// The file. Errors: an XPU has no row.

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -46,6 +47,9 @@ inline constexpr std::size_t kBridgeQueue = 4;
 struct BridgeOptions {
   int domain = 0;                 ///< DDS: who has the same hears each other
   std::size_t largest_bytes = 0;  ///< of any message, in or out
+  /// Gives the calling thread the priority of those that carry messages: the bridge's own, and the middleware's, which
+  /// inherit it. Empty: they are ordinary.
+  std::function<void()> enter = {};
 };
 
 /// What the shared library exports under kPluginSymbol.

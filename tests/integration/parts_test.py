@@ -14,6 +14,7 @@ import time
 import unittest
 
 from common import SOURCE, TESTAPP, XAUTO, wait_for, xauto
+from pftrace import Trace
 
 PLUGIN = pathlib.Path(XAUTO).parent.parent / "lib/xauto/cyclonedds.so"
 SHIFT = pathlib.Path(XAUTO).parent / "libclock_shift.so"
@@ -154,9 +155,9 @@ class Parts(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         return json.loads((self.at / "p.json").read_text())
 
-    def start(self, host, activations=30, limit="30s", tai_ms=None):
-        words = [XAUTO, "run", "--app", "app.json", "--platform", "platform.json", "--policy", "p.json", "--emulate",
-                 "--activations", activations, "--part", host, "--meet", MEET, "--meet-limit", limit, "--out", f"{host}.json",
+    def start(self, host, activations=30, limit="30s", tai_ms=None, before=(), more=()):
+        words = [*before, XAUTO, "run", "--app", "app.json", "--platform", "platform.json", "--policy", "p.json", "--emulate",
+                 "--activations", activations, "--part", host, "--meet", MEET, "--meet-limit", limit, "--out", f"{host}.json", *more,
                  "--", TESTAPP, f"{host}.out", "emulated", 1000]
         return self.spawn(host, words, {"LD_PRELOAD": str(SHIFT), "XAUTO_TEST_TAI_MS": str(tai_ms)} if tai_ms else {})
 
@@ -221,6 +222,18 @@ class Parts(unittest.TestCase):
         self.assertIn(releases - 1, done)
         self.assertTrue(all(known[k] == value for k, value in done.items()))
         self.assertEqual({m["name"]: m["activations"] for m in report["modules"]}["D"], releases)
+
+    def threads(self, process):
+        """{name: {(policy, priority)}} of the threads of this part's processes."""
+        found = {}
+        for thread in pathlib.Path("/proc").glob("[0-9]*/task/[0-9]*"):
+            try:
+                if os.getsid(int(thread.parts[2])) == process.pid:
+                    tid = int(thread.name)
+                    found.setdefault((thread / "comm").read_text().strip(), set()).add((os.sched_getscheduler(tid), os.sched_getparam(tid).sched_priority))
+            except (ProcessLookupError, FileNotFoundError):
+                pass
+        return found
 
     def until(self, host, text):
         wait_for(text, lambda: text in self.said(host))
@@ -310,6 +323,68 @@ class Two(Parts):
         self.assertEqual((crossing["from"], crossing["to"]), ("rear", "front"))
         self.assertGreaterEqual(crossing["lost"], 8, crossing)  # all but what a stall hides
 
+    def test_what_is_seen_of_it(self):
+        """Threads, `top` and `monitor` meanwhile, and both traces as one timeline. Rear may give no priorities, and its clock is 20 ms behind."""
+        self.solve(TWO)
+        self.network.rule("front", delay_ms=5)
+        no_rights = ("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice", "prlimit", "--rtprio=0:0")
+        rear = self.start("rear", activations=60, tai_ms=-20, before=no_rights, more=("--trace-out", "rear.pftrace"))
+        front = self.start("front", activations=60, more=("--trace-out", "front.pftrace"))
+        dds = {"recv", "dq.user", "dq.builtins", "tev", "xauto/dds"}
+        for process, kind in ((front, (os.SCHED_FIFO, 1)), (rear, (os.SCHED_OTHER, 0))):
+            wait_for("DDS's threads", lambda: dds <= self.threads(process).keys())
+            threads = self.threads(process)
+            self.assertEqual({name: threads[name] for name in dds}, dict.fromkeys(dds, {kind}))
+        workers = {one for name, all_of in self.threads(front).items() if "@" in name for one in all_of}
+        self.assertTrue(workers and all(policy == os.SCHED_FIFO and priority > 1 for policy, priority in workers), workers)
+        self.assertIn("what crosses to other hosts has no priority", self.said("rear"))
+        self.see_losses("front", "rear")
+        reports = {"front": self.ended("front", front), "rear": self.ended("rear", rear)}
+        self.assertRegex(" ".join(reports["front"]["notes"]), "'rear': .*what crosses to other hosts has no priority")
+        self.see_timeline(20)
+
+    def look(self, host, *words):
+        done = subprocess.run([*self.network.on(host), XAUTO, *words, "--interval", "50ms"], capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return done.stdout
+
+    def see_losses(self, sender, reader):
+        """`top` and `monitor` on the reader's host name the link."""
+        def run():
+            runs = json.loads(self.look(reader, "top", "--once", "--json"))["runs"]
+            return runs[0] if runs and runs[0].get("crossings") else None
+        wait_for("it runs", lambda: (run() or {"releases": 0})["releases"] > 5)
+        self.network.rule(sender, drop=True)
+        wait_for("top says that some are lost", lambda: (run() or {"crossings": [{"lost": 0}]})["crossings"][0]["lost"] > 1)
+        self.network.rule(sender, drop=False)
+        crossing, = run()["crossings"]
+        self.assertEqual((run()["host"], crossing["xnode"], crossing["from"], crossing["to"]), (reader, "a2", sender, reader))
+        self.assertGreater(crossing["messages"], 0)
+        self.assertRegex(self.look(reader, "top", "--once"), f"the part of host {reader}(.|\n)*a2 from {sender} ")
+        labels = f'xnode="a2",from="{sender}",to="{reader}"'
+        self.assertRegex(self.look(reader, "monitor"), f"xauto_crossing_lost_total{{[^}}]*{labels}}} [1-9]")
+        self.assertRegex(self.look(reader, "monitor"), f'xauto_run_info{{[^}}]*host="{reader}"')
+        statuses = {s["name"]: s for s in json.loads(self.look(reader, "monitor", "--json"))["status"]}
+        self.assertGreater(int(statuses[f"xauto/testapp@{reader}: a2 from {sender} to {reader}"]["values"]["lost"]), 0)
+
+    def see_timeline(self, apart_ms):
+        """Both files, one behind the other: a group per host, and arrows that go back by no more than the clocks are apart."""
+        traces = {host: Trace((self.at / f"{host}.pftrace").read_bytes()) for host in HOSTS[:2]}
+        for host, trace in traces.items():
+            self.assertTrue(trace.title.startswith(f"host {host}: "), trace.title)
+            self.assertEqual({s.track.split("/")[1].split(".")[0] for s in trace.on("run", "run")}, {host})
+        self.assertFalse(traces["front"].path.keys() & traces["rear"].path.keys())  # tracks stay apart
+        across = 1 << 63
+        begins = {flow: s for s in traces["front"].on("run") for flow in s.flows_out if flow >= across}
+        ends = {flow: s for s in traces["rear"].on("run") for flow in s.flows_in if flow >= across}
+        self.assertLessEqual(ends.keys(), begins.keys())  # what was lost has no arrow's end
+        self.assertGreater(len(ends), 20)
+        for flow, taken in ends.items():
+            sent = begins[flow]
+            self.assertEqual((sent.name, taken.name, sent.args["release"]), ("a2", "c1", taken.args["release"]))
+            self.assertGreaterEqual(taken.begin - sent.end, -1e6 * (apart_ms + 1), (sent, taken))
+            self.assertLess(taken.begin - sent.end, 1e9)
+
     def test_who_is_missing_is_named(self):
         self.solve(TWO)
         self.start("front", limit="1s").wait(timeout=30)
@@ -340,10 +415,10 @@ class Two(Parts):
         self.ended("rear", rear)
 
     def test_the_page_s_commands(self):
-        """docs/several-machines.md: solve, check and a part on each host, as they stand there, but for the address and the end."""
+        """docs/several-machines.md: solve, check, graph, explain and a part on each host, as they stand there, but for the address and the end."""
         page = (SOURCE / "docs/several-machines.md").read_text()
-        commands = re.findall(r"^    (xauto (?:solve|check|run) .*)$", page, re.MULTILINE)
-        self.assertEqual([c.split()[1] for c in commands], ["solve", "check", "run", "run"])
+        commands = re.findall(r"^    (xauto (?:solve|check|graph|explain|run) .*)$", page, re.MULTILINE)
+        self.assertEqual([c.split()[1] for c in commands], ["solve", "check", "graph", "explain", "run", "run"])
         self.solve(TWO)
         (self.at / "platform.json").rename(self.at / "orins.json")
         processes = []
@@ -360,6 +435,8 @@ class Two(Parts):
         for host, process in processes:
             self.assertTrue(self.ended(host, process)["complete"])
         self.assertEqual(len(self.results("rear")["c"]), 20)
+        picture = (self.at / "two-hosts.svg").read_text()
+        self.assertRegex(picture, "(?s)host front, .*host rear, .*X 60 ms")
 
 
     def test_the_driving_case_with_samples_and_several_rates(self):

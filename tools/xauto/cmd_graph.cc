@@ -29,6 +29,7 @@ Result<int> graph(const GraphFlags& flags, const Options& options) {
     XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
     places.platform = &platform;
     for (const Placement& p : policy.placements) places.xpu.push_back(p.xpu);
+    places.crossings = policy.crossings;
   }
   const std::string dot = graph_dot(app, places);
   if (options.json)

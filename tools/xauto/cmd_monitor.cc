@@ -117,7 +117,8 @@ class Monitor {
                   seen.run.platform,
                   seen.run.scheduling,
                   counts_of(*seen.run.board),
-                  std::move(coordinated[run].xpus)};
+                  std::move(coordinated[run].xpus),
+                  seen.run.host};
       seen.said = diagnostics_of(now, seen.said.empty() ? nullptr : &seen.look);
       tell(seen.said);
       looks.push_back(now);

@@ -121,6 +121,15 @@ Counts counts_of(const runtime::Board& board) {
     counts.xpus.push_back(
         {runtime::line_name(line.name), line.suspensions.load(), line.busy_ns.load()});
   }
+  for (std::uint32_t c = 0; c < shape.crossings; ++c) {
+    const runtime::CrossingLine& line = board.crossing(c);
+    counts.crossings.push_back({runtime::line_name(line.xnode), runtime::line_name(line.from),
+                                runtime::line_name(line.to), line.x_us,
+                                line.longest_ns.load() / 1000, line.messages.load(),
+                                line.lost.load(), line.late.load()});
+  }
+  std::ranges::stable_sort(counts.crossings, {},
+                           [](const CrossingCounts& c) { return std::pair(c.from, c.to); });
   for (std::uint32_t s = 0; s < shape.scenarios; ++s)
     counts.scenarios.push_back(scenario_of(board, s));
   if (shape.scenarios > 0) {

@@ -42,6 +42,13 @@ struct XpuCounts {
   std::int64_t busy_ns = 0;
 };
 
+/// What a host's part of a run reads of an XNode of another host.
+struct CrossingCounts {
+  std::string xnode, from, to;  ///< hosts
+  std::int64_t x_us = 0, longest_us = 0;
+  std::uint64_t messages = 0, lost = 0, late = 0;
+};
+
 /// Of a run with tables: which one releases get now.
 struct ScenarioCounts {
   std::string name, table, why, asked;  ///< asked: by people; empty: nothing
@@ -67,6 +74,7 @@ struct Counts {
   std::vector<ScenarioCounts> scenarios;   ///< all of them
   std::optional<SpannedCounts> spanned;    ///< none: nothing met a change so far
   std::vector<XpuCounts> xpus;
+  std::vector<CrossingCounts> crossings;  ///< by link
   /// Releases are counted, by `whole`; as far as can be told before the first one.
   [[nodiscard]] bool single_rate() const {
     return whole.results() + whole.lost > 0 || whole.period_us > 0 || whole.deadline_us > 0 ||

@@ -272,6 +272,26 @@ Diagnostic of_xpu(const std::string& name, const XpuCounts& now, const XpuCounts
   return d;
 }
 
+/// Of one link, what came too late for its X.
+Diagnostic of_crossing(const std::string& name, const CrossingCounts& now,
+                       const CrossingCounts& before, const RunLook& look) {
+  Findings found;
+  if (const std::uint64_t lost = grown(now.lost, before.lost); lost > 0)
+    found.add(Level::kWarn, fmt::format("{} messages were not here by their key + X", lost));
+  if (found.message.empty()) found.message = "OK";
+  return {found.level,
+          name,
+          found.message,
+          look.platform,
+          {{"x_ms", fmt::format("{:.3f}", static_cast<double>(now.x_us) / 1000)},
+           {"longest_ms", now.messages == 0
+                              ? kUnknown
+                              : fmt::format("{:.3f}", static_cast<double>(now.longest_us) / 1000)},
+           {"messages", std::to_string(now.messages)},
+           {"lost", std::to_string(now.lost)},
+           {"late", std::to_string(now.late)}}};
+}
+
 /// The same element of the look before; there is none, or another one stands there.
 template <class T>
 T same(const std::vector<T>& list, std::size_t index, const std::string& name) {
@@ -289,7 +309,8 @@ std::vector<Diagnostic> diagnostics_of(const RunLook& now, const RunLook* before
   const Counts none;
   const Counts& was = before == nullptr ? none : before->counts;
   const Counts& is = now.counts;
-  const std::string prefix = "xauto/" + now.app + ": ";
+  // Each host's monitor tells of its part, on one topic.
+  const std::string prefix = "xauto/" + now.app + (now.host.empty() ? "" : "@" + now.host) + ": ";
   std::vector<Diagnostic> list;
   if (is.single_rate())
     list.push_back(
@@ -301,6 +322,12 @@ std::vector<Diagnostic> diagnostics_of(const RunLook& now, const RunLook* before
   for (std::size_t i = 0; i < is.modules.size(); ++i)
     list.push_back(of_module(prefix + "module " + is.modules[i].name, is.modules[i],
                              same(was.modules, i, is.modules[i].name), now));
+  for (std::size_t c = 0; c < is.crossings.size(); ++c) {
+    const CrossingCounts& of = is.crossings[c];
+    list.push_back(of_crossing(prefix + of.xnode + " from " + of.from + " to " + of.to, of,
+                               c < was.crossings.size() ? was.crossings[c] : CrossingCounts(),
+                               now));
+  }
   for (std::size_t i = 0; i < is.xpus.size(); ++i)
     list.push_back(of_xpu(prefix + "XPU " + is.xpus[i].name, is.xpus[i],
                           same(was.xpus, i, is.xpus[i].name), now, was.at_ns));

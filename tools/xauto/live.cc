@@ -35,7 +35,10 @@ Result<Watched> watched_of(const RunSocket& at, Result<Answer> answer) {
   if (!answer) return tl::unexpected<Error>(std::move(answer).error());
   if (answer->fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", at.run);
   const auto text = [&](const char* key) { return answer->said.at(key).text().value_or("?"); };
-  Watched watched{at.run, text("app"), text("platform"), text("scheduling"), answer->uid, nullptr};
+  Watched watched{at.run,           text("app"),
+                  text("platform"), text("scheduling"),
+                  answer->uid,      answer->said.at("host").text().value_or(""),
+                  nullptr};
   XAUTO_ASSIGN(watched.board, runtime::Board::observe(answer->fds[0].get()));
   return watched;
 }

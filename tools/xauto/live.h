@@ -24,6 +24,7 @@ namespace xauto::cli {
 struct Watched {
   std::string run, app, platform, scheduling;
   unsigned uid = 0;  ///< whose it is
+  std::string host;  ///< whose part of a run it is; empty: it has no parts
   std::shared_ptr<const runtime::Board> board;
 };
 /// Names of runs of this network namespace, or what anybody calls one.

@@ -154,6 +154,23 @@ void add_scenarios(Page& page, const Labels& of_run, const Counts& counts) {
   }
 }
 
+void add_crossings(Page& page, const Labels& of_run, const Counts& counts) {
+  for (const CrossingCounts& of : counts.crossings) {
+    Labels labels = of_run;
+    labels.insert(labels.end(), {{"xnode", of.xnode}, {"from", of.from}, {"to", of.to}});
+    page.counter("xauto_crossing_messages_total",
+                 "Messages of other hosts that were here by their X.", labels, of.messages);
+    page.counter("xauto_crossing_lost_total", "Messages of other hosts that were not.", labels,
+                 of.lost);
+    page.gauge("xauto_crossing_x_seconds", "Time from the sender's key, as it is assumed.", labels,
+               seconds(of.x_us));
+    if (of.messages > 0)
+      page.gauge("xauto_crossing_longest_seconds",
+                 "Longest time from the sender's key, by this host's clock.", labels,
+                 seconds(of.longest_us));
+  }
+}
+
 void add_xpus(Page& page, const Labels& of_run, const RunLook& look) {
   const auto labels_of = [&](const std::string& xpu) {
     Labels labels = of_run;
@@ -193,6 +210,7 @@ void add_metrics_of(Page& page, const RunLook& look) {
   };
   Labels info = with("platform", look.platform);
   info.emplace_back("scheduling", look.scheduling);
+  if (!look.host.empty()) info.emplace_back("host", look.host);
   page.gauge("xauto_run_info", "A run that goes on.", info, "1");
   page.counter("xauto_releases_total", "Releases of the sensors.", of_run, counts.released);
   const bool stands = counts.account.stands();
@@ -225,6 +243,7 @@ void add_metrics_of(Page& page, const RunLook& look) {
                  module.deaths);
   }
   add_scenarios(page, of_run, counts);
+  add_crossings(page, of_run, counts);
   add_xpus(page, of_run, look);
 }
 

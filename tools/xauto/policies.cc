@@ -922,6 +922,22 @@ std::vector<std::string> names_on_path(const AppSpec& app, const std::vector<int
   return list;
 }
 
+/// The same for people; where it goes to another host, with that host and X.
+std::string way_text(const AppSpec& app, const Platform& platform, const Policy& policy,
+                     const std::vector<int>& whole, std::size_t c) {
+  const std::vector<int> host = hosts_of(app, platform, policy);
+  std::string text = app.sources[at(app.chains[c].from)].name;
+  for (std::size_t k = 0; k < whole.size(); ++k) {
+    text += " > " + app.xnodes[at(whole[k])].name;
+    if (k == 0 || host[at(whole[k - 1])] == host[at(whole[k])]) continue;
+    const int to = host[at(whole[k])];
+    for (const Crossing& crossing : policy.crossings)
+      if (crossing.from == whole[k - 1] && crossing.host == to)
+        text += fmt::format(" (on {}, X {})", platform.hosts[at(to)].name, ms(crossing.x_us));
+  }
+  return text;
+}
+
 Result<int> explain_policy(const AppSpec& app, const Platform& platform, const std::string& path,
                            const std::string& picture, double moves_s, const Options& options) {
   Outputs outputs;
@@ -969,9 +985,11 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
     std::cout << proof_table(platform, policy, report) << "\n";
     for (std::size_t c = 0; c < report.chains.size(); ++c)
       std::cout << wrapped(fmt::format("  {}: {}, along {}", report.chains[c].name,
-                                       ms(report.chains[c].derived_us), fmt::join(names(c), " > ")),
+                                       ms(report.chains[c].derived_us),
+                                       way_text(app, platform, policy, ways[c], c)),
                            4)
                 << "\n";
+    std::cout << crossings_text(app, platform, policy);
     if (!report.chains.empty())
       std::cout << fmt::format(
                        "\n  The worst off is {}. Its XNodes elsewhere, and those of the tightest "
@@ -1025,8 +1043,7 @@ Result<int> check_places(const AppSpec& app, const Platform& platform, const Pol
 namespace {
 
 /// Each chain with what was derived, what is claimed, and its worst path.
-void show_chains(const keys::CheckReport& report,
-                 const std::vector<std::vector<std::string>>& ways) {
+void show_chains(const keys::CheckReport& report, const std::vector<std::string>& ways) {
   if (!report.chains.empty())
     std::cout << "\n"
               << row_of("chain", kNameColumns)
@@ -1040,7 +1057,7 @@ void show_chains(const keys::CheckReport& report,
       std::cout << row_of("  urgent", kNameColumns)
                 << fmt::format("{:>11}{:>11}\n", ms(*chain.urgent_us),
                                ms(chain.claimed_urgent_us.value_or(0)));
-    std::cout << wrapped(fmt::format("    along {}", fmt::join(ways[c], " > ")), 6) << "\n";
+    std::cout << wrapped("    along " + ways[c], 6) << "\n";
   }
 }
 
@@ -1086,10 +1103,13 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
       missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
                                    ms(*chain.deadline_us)));
   const int status = lies.empty() && missed.empty() ? kDone : kAnswerIsNo;
-  std::vector<std::vector<std::string>> ways;  // [chain]
+  std::vector<std::vector<int>> ways;  // [chain]
+  std::vector<std::string> texts;
   WholePaths whole(app, platform, policy);
-  for (std::size_t c = 0; c < report.chains.size(); ++c)
-    ways.push_back(names_on_path(app, whole.of(app.chains[c], report.chains[c].path), c));
+  for (std::size_t c = 0; c < report.chains.size(); ++c) {
+    ways.push_back(whole.of(app.chains[c], report.chains[c].path));
+    texts.push_back(way_text(app, platform, policy, ways[c], c));
+  }
   if (options.json) {
     Json root = {{"schema", "xauto.check"},  {"version", 2},
                  {"truthful", lies.empty()}, {"lies", lies},
@@ -1103,7 +1123,7 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
                 {"own_bound_us", chain.own_bound_us},
                 {"claimed_bound_us", chain.claimed_bound_us},
                 {"late", chain.late()},
-                {"path", ways[c]}};
+                {"path", names_on_path(app, ways[c], c)}};
       if (chain.urgent_us) {
         j["urgent_worst_case_us"] = *chain.urgent_us;
         j["claimed_urgent_us"] = chain.claimed_urgent_us.value_or(0);
@@ -1117,7 +1137,7 @@ Result<int> check_policy(const Apps& apps, const Platform& platform,
   for (const std::string& lie : lies) std::cout << wrapped("  LIE    " + lie, 9) << "\n";
   if (!report.windows.empty())
     std::cout << (lies.empty() ? "" : "\n") << proof_table(platform, policy, report);
-  show_chains(report, ways);
+  show_chains(report, texts);
   std::cout << crossings_text(app, platform, policy);
   for (const std::string& wish : broken) std::cout << wrapped("  MISSED " + wish, 9) << "\n";
   if (lies.empty()) std::cout << counted_loads(app, platform, policy);

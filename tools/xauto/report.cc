@@ -11,6 +11,7 @@
 #include "base/columns.h"
 #include "base/log.h"
 #include "base/quantile.h"
+#include "model/hosts.h"
 #include "model/json_value.h"
 #include "session/account.h"
 #include "session/changes.h"
@@ -541,6 +542,18 @@ std::vector<ChainClaim> claims_of(const PolicyRun& run) {
   return claims;
 }
 
+/// [module] of another host than this part's.
+std::vector<bool> modules_elsewhere(const RunFlags& flags, const PolicyRun& run,
+                                    const std::vector<story::ModuleInfo>& modules) {
+  const std::vector<int> host_of = hosts_of(flags.app, flags.spec, *run.keys);
+  std::vector<bool> elsewhere(modules.size(), false);
+  for (std::size_t m = 0; m < modules.size(); ++m)
+    for (std::size_t x = 0; x < flags.app.xnodes.size(); ++x)
+      if (flags.app.xnodes[x].module == modules[m].name)
+        elsewhere[m] = host_of[x] != flags.spec.find_host(flags.part);
+  return elsewhere;
+}
+
 Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
                              std::vector<story::ModuleInfo> modules, std::string verdict) {
   story::Scene scene;
@@ -575,7 +588,15 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   }
   scene.verdict = std::move(verdict);
   scene.counts = counts_of(run);
-  return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
+  if (run.tai_offset_ns == 0)
+    return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
+  scene.title = "host " + flags.part + ": " + scene.title;
+  scene.elsewhere = modules_elsewhere(flags, run, scene.modules);
+  const int host = flags.spec.find_host(flags.part);
+  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
+    scene.rows[static_cast<std::size_t>(scene.row_of[x])].here = flags.spec.xpus[x].host == host;
+  scene.group = static_cast<std::uint32_t>(host) + 1;
+  return perfetto_trace(flags.app, scene, told, run.tai_offset_ns);
 }
 
 }  // namespace

@@ -354,7 +354,11 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   request.command = app_command(flags.command);
   request.stop = stop;
   request.trace_keep_s = flags.trace_keep_s;
-  request.on_incident = std::move(dump);
+  if (dump)
+    request.on_incident = [&](const launch::Incident& incident) {
+      if (meeting) run.tai_offset_ns = meeting->clock_offset_ns();
+      dump(incident);
+    };
 
   // With several rates there are no releases to count by, but the time is known.
   double length_s = flags.seconds;

@@ -97,6 +97,8 @@ struct PolicyRun {
   std::optional<Tables> tables;
   /// It goes by keys that are not certified: it is held against nothing, and says so.
   [[nodiscard]] bool uncertified() const { return keys && !keys->certified; }
+  /// Of a part: CLOCK_TAI, which all parts have, less CLOCK_MONOTONIC; 0: it is none.
+  std::int64_t tai_offset_ns = 0;
   std::string untrue;  ///< why `xauto check` refuses the policy here; empty: not known
   // Filled in by `execute`.
   runtime::RunReport report;

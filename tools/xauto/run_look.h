@@ -16,6 +16,7 @@ struct RunLook {
   std::string run, app, platform, scheduling;
   Counts counts;
   std::vector<XpuStatus> xpus;  ///< of the coordinators that have answered
+  std::string host = {};        ///< whose part of a run it is; empty: it has no parts
 };
 
 }  // namespace xauto::cli

@@ -85,6 +85,20 @@ Json chains_json(const Counts& now, const Counts& before) {
   return chains;
 }
 
+Json crossings_json(const Counts& now) {
+  Json crossings = Json::array();
+  for (const CrossingCounts& of : now.crossings)
+    crossings.push_back({{"xnode", of.xnode},
+                         {"from", of.from},
+                         {"to", of.to},
+                         {"x_us", of.x_us},
+                         {"longest_us", of.messages > 0 ? Json(of.longest_us) : Json()},
+                         {"messages", of.messages},
+                         {"lost", of.lost},
+                         {"late", of.late}});
+  return crossings;
+}
+
 Json modules_json(const Counts& now, const Counts& before) {
   const double s = static_cast<double>(now.at_ns - before.at_ns) * 1e-9;
   Json modules = Json::array();
@@ -148,6 +162,20 @@ std::string chains_text(const Counts& now, const Counts& before) {
                        chain.gone ? "off" : ms_in_row(n.age_us), chain.lost, chain.deadline_misses,
                        chain.age_misses);
   }
+  return out;
+}
+
+/// What comes from other hosts, each beside its X.
+std::string crossings_text(const Counts& now) {
+  if (now.crossings.empty()) return {};
+  std::string out =
+      "\n" + row_of("from other hosts, ms", kNameColumns) +
+      fmt::format("{:>9}{:>9}{:>9}{:>7}{:>6}\n", "longest", "X", "messages", "lost", "late");
+  for (const CrossingCounts& of : now.crossings)
+    out +=
+        row_of(of.xnode + " from " + of.from, kNameColumns) +
+        fmt::format("{:>9}{:>9}{:>9}{:>7}{:>6}\n", ms_in_row(of.messages > 0 ? of.longest_us : -1),
+                    ms_in_row(of.x_us), of.messages, of.lost, of.late);
   return out;
 }
 
@@ -274,6 +302,10 @@ Json json_of(const ShownRun& shown) {
     j["claims"] = runtime::claims_json(now.account);
     if (now.scenario) j["scenario"] = scenario_json(now);
     j["modules"] = modules_json(now, before);
+    if (!shown.watched->host.empty()) {
+      j["host"] = shown.watched->host;
+      j["crossings"] = crossings_json(now);
+    }
   }
   j["xpus"] = Json::array();
   for (const XpuStatus& xpu : shown.now.xpus) j["xpus"].push_back(to_json(xpu));
@@ -290,11 +322,13 @@ std::string text_of(const ShownRun& shown, bool workers) {
                     (shown.uid == geteuid() ? "" : user_name(shown.uid));
   if (!shown.watched) return out + "\n" + workers_text(shown.now.xpus);
   const Counts &now = shown.now.counts, &before = shown.before.counts;
-  out += fmt::format(": {} on {}, {}; {} releases, numbers of the last {:.1f} s",
-                     shown.watched->app, shown.watched->platform, shown.watched->scheduling,
-                     now.released, seconds_of(shown));
+  const std::string& host = shown.watched->host;
+  out +=
+      fmt::format(": {} on {}{}, {}; {} releases, numbers of the last {:.1f} s", shown.watched->app,
+                  shown.watched->platform, host.empty() ? "" : ", the part of host " + host,
+                  shown.watched->scheduling, now.released, seconds_of(shown));
   out = wrapped(out, 2) + "\n\n" + chains_text(now, before);
-  out += claims_text(now) + scenario_text(now) + modules_text(now, before);
+  out += claims_text(now) + scenario_text(now) + crossings_text(now) + modules_text(now, before);
   out +=
       workers && !shown.now.xpus.empty() ? workers_text(shown.now.xpus) : xpus_text(shown.now.xpus);
   if (shown.live != nullptr && shown.now.kernel && shown.before.kernel)

@@ -125,14 +125,24 @@ class DdsBridge final : public Bridge {
         "</CycloneDDS>";
     CycloneLog::take_over();
     const auto domain = static_cast<dds_domainid_t>(options.domain);
-    bridge->domain_ = dds_create_domain(domain, config.c_str());
-    bridge->participant_ = dds_create_participant(domain, nullptr, nullptr);
+    // Cyclone's threads are made here, and inherit what this one has.
+    XAUTO_ASSIGN(std::thread maker, start_thread([&] {
+                   if (options.enter) options.enter();
+                   bridge->domain_ = dds_create_domain(domain, config.c_str());
+                   bridge->participant_ = dds_create_participant(domain, nullptr, nullptr);
+                 }));
+    maker.join();
     if (bridge->participant_ < 0)
       return fail(ErrorCode::kUnavailable,
                   "cannot join DDS domain " + std::to_string(options.domain) + ": " +
                       reason(bridge->participant_),
                   {}, "CYCLONEDDS_URI must name a network interface that is there");
-    XAUTO_ASSIGN(bridge->thread_, start_thread([b = bridge.get()] { b->run(); }));
+    if (bridge->domain_ < 0 && options.enter)
+      bridge->others_ = "DDS's threads are the program's, which had joined domain " +
+                        std::to_string(options.domain) +
+                        " before: what crosses to other hosts has no priority";
+    XAUTO_ASSIGN(bridge->thread_,
+                 start_thread([b = bridge.get(), enter = options.enter] { b->run(enter); }));
     return bridge;
   }
   ~DdsBridge() override {
@@ -189,6 +199,7 @@ class DdsBridge final : public Bridge {
 
   [[nodiscard]] std::vector<std::string> notes() const override {
     std::vector<std::string> notes;
+    if (!others_.empty()) notes.push_back(others_);
     const Guard lock(mutex_);
     for (const auto& publisher : publishers_) publisher->note(notes);
     std::set<const DdsSubscriber*> told;
@@ -267,9 +278,10 @@ class DdsBridge final : public Bridge {
     const Guard lock(mutex_);
     return publishers_;
   }
-  void run() {
+  void run(const std::function<void()>& enter) {
     rt::set_thread_name("xauto/dds");
     (void)rt::set_other();  // not what the creating thread has: nothing of the app waits for it
+    if (enter) enter();     // what crosses between hosts does
     for (;;) {
       const auto all = publishers();
       bool any = false;
@@ -288,6 +300,7 @@ class DdsBridge final : public Bridge {
   }
 
   dds_entity_t domain_ = 0, participant_ = 0;
+  std::string others_;  ///< set once
   std::shared_ptr<Work> work_;
   std::thread thread_;
   mutable PiMutex mutex_;

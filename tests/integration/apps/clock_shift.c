@@ -1,6 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Preloaded: a CLOCK_TAI that is off by XAUTO_TEST_TAI_MS, as of a host that nobody disciplines.
+// Preloaded: a CLOCK_TAI that is off by XAUTO_TEST_TAI_MS, as of a host that nobody disciplines; with XAUTO_TEST_ORDINARY the
+// lowest SCHED_FIFO priority is refused.
 #define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <pthread.h>
+#include <sched.h>
 #include <stdlib.h>
 #include <sys/syscall.h>
 #include <time.h>
@@ -18,4 +23,15 @@ int clock_gettime(clockid_t clock, struct timespec *now)
 		now->tv_nsec = ns % 1000000000LL;
 	}
 	return (int)failed;
+}
+
+int pthread_setschedparam(pthread_t thread, int policy, const struct sched_param *wanted)
+{
+	static int (*real)(pthread_t, int, const struct sched_param *);
+
+	if (policy == SCHED_FIFO && wanted->sched_priority == 1 && getenv("XAUTO_TEST_ORDINARY"))
+		return EPERM;
+	if (!real)
+		real = (int (*)(pthread_t, int, const struct sched_param *))dlsym(RTLD_NEXT, "pthread_setschedparam");
+	return real(thread, policy, wanted);
 }

@@ -30,6 +30,7 @@ TEST(FifoRange, UnderAnyLimitStaysInsideAndKeepsTheOrder) {
     EXPECT_GE(p.sources, p.execution) << highest;
     EXPECT_GE(p.execution, p.cpu_highest) << highest;
     EXPECT_GE(p.cpu_highest, p.cpu_lowest) << highest;
+    EXPECT_EQ(p.carriers, p.cpu_lowest > 1 ? 1 : 0) << highest;  // below every XNode, or none
     if (highest >= 2) {
       EXPECT_GT(p.management, p.cpu_highest) << highest;
     }

@@ -31,7 +31,8 @@ detail::Envelope message(std::uint64_t k) {
 }
 
 struct Reader {
-  CrossingReader reader{rule(), 0};
+  explicit Reader(const CrossingReader::Rule& of = rule()) : reader(of, 0) {}
+  CrossingReader reader;
   std::vector<detail::Envelope> got = {};
   void pass(std::int64_t now) {
     reader.pass(now, [this](const detail::Envelope& e) { got.push_back(e); });
@@ -105,20 +106,41 @@ TEST(CrossingReader, NobodyWaitsLongerThanX) {
 }
 
 TEST(CrossingReader, OneThatOvertakesWaitsForTheOlderOne) {
-  Reader r;
-  EXPECT_TRUE(r.arrive(1, nominal(0) + kMs));
-  r.pass(nominal(0) + kMs);
+  CrossingReader::Rule with = rule();
+  with.x_us = 12'000;
+  Reader r(with);
+  EXPECT_TRUE(r.arrive(1, nominal(1) + kMs));
+  r.pass(nominal(1) + kMs);
   EXPECT_TRUE(r.got.empty());
-  EXPECT_TRUE(r.arrive(0, nominal(0) + 2 * kMs));
-  r.pass(nominal(0) + 2 * kMs);
+  EXPECT_TRUE(r.arrive(0, nominal(1) + 2 * kMs));
+  r.pass(nominal(1) + 2 * kMs);
   ASSERT_EQ(r.got.size(), 2U);
   EXPECT_EQ(r.got[1].sequence, 1U);
+}
+
+/// A sender whose clock is ahead.
+TEST(CrossingReader, NothingGoesOnBeforeItsRelease) {
+  Reader r;
+  EXPECT_TRUE(r.arrive(0, nominal(0) - 3 * kMs));
+  EXPECT_TRUE(r.arrive(1, nominal(0) - 2 * kMs));
+  r.pass(nominal(0) - 1);
+  EXPECT_TRUE(r.got.empty());
+  EXPECT_EQ(r.reader.next_ns(), nominal(0));
+  r.pass(nominal(0));
+  EXPECT_EQ(r.got.size(), 1U);
+  EXPECT_EQ(r.reader.next_ns(), nominal(1));
+  r.pass(nominal(1) - 1);
+  EXPECT_EQ(r.got.size(), 1U);
+  r.pass(nominal(1));
+  ASSERT_EQ(r.got.size(), 2U);
+  EXPECT_NE(r.got[1].message, nullptr);
+  EXPECT_EQ(r.reader.count().lost, 0U);
 }
 
 TEST(CrossingReader, WhatTheSenderHadNoResultOfIsNoLossOfTheWay) {
   Reader r;
   EXPECT_TRUE(r.reader.arrive(0, {nullptr, detail::kOffNs, 2}, nominal(2), kMs));
-  r.pass(kMs);
+  r.pass(nominal(2));
   ASSERT_EQ(r.got.size(), 3U);
   EXPECT_EQ(r.got[1].origin_ns, detail::kOffNs);
   EXPECT_EQ(r.reader.count().lost, 0U);

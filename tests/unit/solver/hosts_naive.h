@@ -174,6 +174,7 @@ class HostsWorld {
         const double sent = jobs_[at(u)][at(job.n)].ended;
         if (sent == kNever) return kNever;
         from = std::max(from, sent + transfer(u, v) + (host(u) != host(v) ? play_.link_us : 0));
+        if (host(u) != host(v)) from = std::max(from, clock(i).when(number(source, job.n)));
       }
     if (job.n > 0) {
       if (jobs_[at(i)][at(job.n - 1)].ended == kNever) return kNever;

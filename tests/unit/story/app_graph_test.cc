@@ -39,6 +39,38 @@ TEST(AppGraph, IsAsItWas) {
   expect_golden("graph.svg", graph_svg(*app, places));
 }
 
+/// A cluster and a band for each host, and X at what crosses.
+TEST(AppGraph, HostsAndWhatCrosses) {
+  AppSpec app;
+  app.name = "pair";
+  app.sources = {{"camera", {30'000}}};
+  app.xnodes = {{"see", "SEE", {{"cpu", 1'000}}, {0}},
+                {"know", "KNOW", {{"cpu", 1'000}}},
+                {"act", "ACT", {{"cpu", 1'000}}, {0}}};
+  app.edges = {{0, 1}};
+  app.samples = {{1, 2}};
+  Platform platform;
+  platform.name = "two";
+  platform.hosts = {{"front", 0}, {"re\"ar", 0}};
+  platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}};
+  platform.xpus[1].host = 1;
+  const GraphPlaces places{&platform, {0, 1, 0}, {{0, 1, 1'700}, {1, 0, 900}}};
+  const std::string dot = graph_dot(app, places), svg = graph_svg(app, places);
+  EXPECT_EQ(count(dot, "subgraph cluster_host"), 2u);
+  EXPECT_NE(dot.find("label=\"host re\\\"ar\""), std::string::npos) << dot;
+  EXPECT_NE(
+      dot.find(
+          "x0 -> x1 [color=\"#0072B2\", fontcolor=\"#0072B2\", penwidth=2, label=\"X 1.7 ms\"];"),
+      std::string::npos)
+      << dot;
+  EXPECT_NE(dot.find("label=\"sampled, X 0.9 ms\""), std::string::npos) << dot;
+  EXPECT_NE(svg.find(">host front, 33.333 Hz<"), std::string::npos) << svg;
+  EXPECT_NE(svg.find(">host re&quot;ar, 33.333 Hz<"), std::string::npos) << svg;
+  EXPECT_EQ(count(svg, "class=\"line cross\""), 1u);
+  EXPECT_NE(svg.find(">X 1.7 ms<"), std::string::npos) << svg;
+  EXPECT_NE(svg.find(">samples know (X 0.9 ms)<"), std::string::npos) << svg;
+}
+
 AppSpec odd() {
   AppSpec app;
   app.name = "a\"b<c>&d\\N\n";

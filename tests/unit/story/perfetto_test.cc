@@ -67,6 +67,7 @@ struct Viewed {
     lossy = trace.packet_size() > 0 && trace.packet(0).previous_packet_dropped() != 0;
     for (const proto::TracePacket& packet : trace.packet()) {
       EXPECT_NE(packet.trusted_packet_sequence_id(), 0u);
+      if (packet.first_packet_on_sequence()) last = 0;  // a file that was put behind
       if (packet.has_track_descriptor()) {
         const auto& track = packet.track_descriptor();
         EXPECT_TRUE(names.emplace(track.uuid(), track.name()).second);
@@ -214,6 +215,46 @@ TEST(Perfetto, ArrowsGoFromTheReleaseAlongTheEdgesToTheOutputs) {
                                   "release 0 > big.infer", "big.infer > BIG 0",
                                   "release 1 > cam.pre", "cam.pre > cam.infer", "cam.infer > CAM 1",
                                   "release 1 > big.infer", "big.infer > BIG 1"}));
+}
+
+TEST(Perfetto, FilesOfTwoHostsOneBehindTheOtherHaveArrowsAcross) {
+  Tiny front, rear;  // CAM is on one, BIG on the other
+  for (Tiny* part : {&front, &rear}) {
+    part->app.edges.emplace_back(1, 2);
+    part->app.xnodes[2].sources.clear();
+    part->scene.modules[0].sink = false;
+  }
+  front.scene.title = "host front";
+  front.scene.elsewhere = {false, true};
+  front.scene.rows[1].here = false;  // a GPU of the other host
+  rear.scene.title = "host rear";
+  rear.scene.group = 2;
+  rear.scene.elsewhere = {true, false};
+  for (std::uint64_t seq = 0; seq < 2; ++seq) {
+    const auto us = static_cast<std::int64_t>(2000 * seq);
+    front.publish(us, seq);
+    front.activate(us + 1, seq, 0, us);
+    for (const std::uint16_t xnode : {std::uint16_t{0}, std::uint16_t{1}}) {
+      front.at(us + 10 + 100 * xnode, XAUTO_EV_RUN, seq, xnode, 0, 0);
+      front.at(us + 90 + 100 * xnode, XAUTO_EV_FINISH, seq, xnode, 0, 0);
+    }
+    front.at(us + 200, XAUTO_EV_DONE, seq, kNone, 0);
+    rear.at(us + 400, XAUTO_EV_ACTIVATE, seq, kNone, 1);
+    rear.at(us + 400, XAUTO_EV_TAKE, static_cast<std::uint64_t>(1'000'000 + us * 1000), kNone, 1,
+            kNone, 0);
+    rear.at(us + 410, XAUTO_EV_RUN, seq, 2, 1, 1);
+    rear.at(us + 700, XAUTO_EV_FINISH, seq, 2, 1, 1);
+    rear.at(us + 701, XAUTO_EV_DONE, seq, kNone, 1);
+  }
+  const Viewed both(front.file() + rear.file());
+  EXPECT_EQ(both.arrows(), (std::multiset<std::string>{
+                               "release 0 > cam.pre", "cam.pre > cam.infer", "release 1 > cam.pre",
+                               "cam.pre > cam.infer", "cam.infer > big.infer",
+                               "cam.infer > big.infer", "big.infer > BIG 0", "big.infer > BIG 1"}));
+  EXPECT_TRUE(both.slices.contains("host front/run/cpu0"));
+  EXPECT_FALSE(both.slices.contains("host front/run/gpu0"));
+  EXPECT_TRUE(both.slices.contains("host rear/run/gpu0"));
+  EXPECT_FALSE(both.slices.contains("host rear/modules/CAM"));
 }
 
 TEST(Perfetto, WhatIsNotKnownToBeTakenHasNoArrow) {

@@ -360,6 +360,46 @@ TEST(Counts, AJobPastItsWcetBreaksTheClaimOfOnePolicyAndABudgetDoesNot) {
   EXPECT_EQ(account.count_of("budget_overrun"), 4u);
 }
 
+TEST(Counts, WhatIsLostBetweenHostsIsCountedByLink) {
+  const auto board = claiming({.flows = 2, .crossings = 2});
+  const char* const from[] = {"rear", "front"};
+  for (std::uint32_t c = 0; c < 2; ++c) {
+    runtime::CrossingLine& line = board->crossing(c);
+    runtime::name_line(line.xnode, "m.x" + std::to_string(c));
+    runtime::name_line(line.from, from[c]);
+    runtime::name_line(line.to, "third");
+    line.x_us = 900;
+    line.messages = 8;
+  }
+  EXPECT_TRUE(counts_of(*board).account.stands());
+  board->crossing(0).lost = 3;
+  board->crossing(0).late = 2;
+  board->crossing(0).latest_ns = 1'500'000;
+  const Counts counts = counts_of(*board);
+  EXPECT_EQ(
+      counts.account.broken(),
+      std::vector<std::string>{"3 of 11 messages of XNode 'm.x0' were not here, from 'rear' to "
+                               "'third', by their key + X = 0.900 ms: 2 came later, by up to "
+                               "1.500 ms, 1 never came"});
+  ASSERT_EQ(counts.crossings.size(), 2u);  // by link
+  EXPECT_EQ(counts.crossings[0].xnode, "m.x1");
+  EXPECT_EQ(counts.crossings[1].lost, 3u);
+  RunLook now{"7-0", "car", "orin", "xauto", counts, {}, "third"}, before = now;
+  before.counts.crossings[1].lost = 1;
+  const auto said = diagnostics_of(now, &before);
+  const auto at =
+      std::ranges::find(said, "xauto/car@third: m.x0 from rear to third", &Diagnostic::name);
+  ASSERT_NE(at, said.end());
+  EXPECT_EQ(at->level, Level::kWarn);
+  EXPECT_EQ(at->message, "2 messages were not here by their key + X");
+  const std::string metrics = metrics_text({now}, {});
+  EXPECT_NE(
+      metrics.find(
+          R"(xauto_crossing_lost_total{app="car",run="7-0",xnode="m.x0",from="rear",to="third"} 3)"),
+      std::string::npos)
+      << metrics;
+}
+
 TEST(Counts, ReleasesThatMetBreakTheClaimsOfOneAtATime) {
   const auto board = claiming({.nodes = 1, .flows = 2});
   EXPECT_TRUE(counts_of(*board).account.stands());
