@@ -50,7 +50,8 @@ std::vector<int> FifoRange::by_rank(const PriorityPlan& policy) const {
 std::string FifoRange::note(int highest, const PriorityPlan& policy,
                             const std::vector<int>& cpus) const {
   if (none() || *this == FifoRange{}) return {};
-  const auto levels = static_cast<std::size_t>(cpu_highest - cpu_lowest + 1);
+  const std::size_t levels =
+      static_cast<std::size_t>(cpu_highest) - static_cast<std::size_t>(cpu_lowest) + 1;
   std::size_t sharing = 0;
   for (const int cpu : cpus) {
     std::set<std::int64_t> priorities;
