@@ -313,13 +313,13 @@ class Player {
   int bits_ = 0;
 };
 
-struct Tally {
+struct TinyTally {
   std::uint64_t apps = 0, policies = 0, plays = 0, late = 0, longer = 0;
 };
 
 /// All chances of one policy.
 void play_all(const Tiny& tiny, const std::vector<int>& keys, const World& world,
-              std::int64_t claimed_us, Tally& tally) {
+              std::int64_t claimed_us, TinyTally& tally) {
   Player player(tiny, keys, world);
   std::uint32_t longs = 0, roots = 0;
   for (int x = 0; x < tiny.size(); ++x) {
@@ -358,7 +358,7 @@ void for_all(int n, std::uint64_t stride, const Use& use) {
   }
 }
 
-void report(const char* what, const Tally& tally) {
+void report(const char* what, const TinyTally& tally) {
   std::printf("%s: %lu apps, %lu policies, %lu plays, %lu late, %lu chains longer\n", what,
               tally.apps, tally.policies, tally.plays, tally.late, tally.longer);
 }
@@ -366,7 +366,7 @@ void report(const char* what, const Tally& tally) {
 /// All apps of two XNodes; of three and four each so many-th, with XAUTO_SYSTEMS=1 all of three.
 TEST(KeysHostsTiny, WhatTheCheckTakesIsNeverLateAndNoChainIsLonger) {
   const bool all = std::getenv("XAUTO_SYSTEMS") != nullptr;
-  Tally tally;
+  TinyTally tally;
   for (const auto& [n, stride] : {std::pair(2, 1), {3, all ? 1 : 7}, {4, all ? 2003 : 40'009}})
     for_all(n, static_cast<std::uint64_t>(stride), [&](const Tiny& tiny, const AppSpec& app) {
       ++tally.apps;
@@ -383,7 +383,7 @@ TEST(KeysHostsTiny, WhatTheCheckTakesIsNeverLateAndNoChainIsLonger) {
 
 /// Messages take 10 where the policy has 9.
 TEST(KeysHostsTiny, AnXThatIsATenthTooSmallIsFound) {
-  Tally tally;
+  TinyTally tally;
   for_all(2, 1, [&](const Tiny& tiny, const AppSpec& app) {
     ++tally.apps;
     const std::vector<int> keys = tight_keys(tiny, app, false);
@@ -396,7 +396,7 @@ TEST(KeysHostsTiny, AnXThatIsATenthTooSmallIsFound) {
 
 /// A claim that takes a sample from another host to be there at once.
 TEST(KeysHostsTiny, ASampleThatCrossesInNoTimeIsFound) {
-  Tally tally;
+  TinyTally tally;
   for_all(3, 1, [&](const Tiny& tiny, const AppSpec& app) {
     if (!tiny.is(0, 2, Pair::kSample) || !tiny.crosses(0, 2) || tiny.crosses(0, 1) ||
         tiny.crosses(1, 2))
@@ -415,7 +415,7 @@ TEST(KeysHostsTiny, ASampleThatCrossesInNoTimeIsFound) {
 
 /// A job that a message fires before its release, by its own clock, samples what is older than its earliest start says.
 TEST(KeysHostsTiny, AMessageThatGoesOnBeforeItsReleaseIsFound) {
-  Tally tally;
+  TinyTally tally;
   for_all(3, 7, [&](const Tiny& tiny, const AppSpec& app) {
     ++tally.apps;
     const std::vector<int> keys = tight_keys(tiny, app, false);
