@@ -222,6 +222,35 @@ hosts() {
   grep -E '^# (kept|load|step):' "$out/hosts-$1.log"
 }
 
+# parts NAME: an app over two guests on one wire, each with its own clock, which drifts, is stepped, and whose CPU is taken.
+parts() {
+  local kernel nic items=() program wire=$out/parts.sock rear
+  note "an app over two guests on Linux $1"
+  kernel=$(scx_kernel "$1") && mapfile -t nic < <(scripts/vm/fetch-nic.sh "$1") && [ ${#nic[@]} -eq 3 ] ||
+    { failed=$((failed + 1)); return; }
+  cc -O2 -static -o "$out/guest_clock" tests/vm/parts/guest_clock.c || { failed=$((failed + 1)); return; }
+  "$build/bin/xauto" solve --app tests/vm/parts/app.json --platform tests/vm/parts/platform.json --max-evaluations 200 \
+    --out "$out/parts.policy.json" >"$out/parts.solve" || { failed=$((failed + 1)); return; }
+  for program in xauto xauto-coordinator xauto-emud testapp; do items+=("$build/bin/$program"); done
+  for program in app platform; do items+=("tests/vm/parts/$program.json:/parts/$program.json"); done
+  for program in "${nic[@]}"; do items+=("$program:/modules/$(basename "$program")"); done
+  items+=("$out/guest_clock" "$out/parts.policy.json:/parts/policy.json" "$build/lib/xauto/cyclonedds.so:/lib/xauto/cyclonedds.so")
+  rm -f "$wire"
+  export VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-600}
+  scripts/vm/mk-initrd.sh "$out/parts-rear.cpio.gz" tests/vm/run-parts:/tests/run "${items[@]}" || { failed=$((failed + 1)); return; }
+  (
+    while [ ! -S "$wire" ]; do sleep 0.2; done
+    VM_MORE="-netdev stream,id=n,server=off,addr.type=unix,addr.path=$wire -device virtio-net-pci,netdev=n,mac=52:54:00:00:00:02" \
+      VM_APPEND="xauto.part=rear ${VM_APPEND:-}" scripts/vm/run-vm.sh "$kernel" "$out/parts-rear.cpio.gz" "$out/parts-rear.log"
+  ) &
+  rear=$!
+  VM_MORE="-netdev stream,id=n,server=on,addr.type=unix,addr.path=$wire -device virtio-net-pci,netdev=n,mac=52:54:00:00:00:01" \
+    VM_APPEND="xauto.part=front ${VM_APPEND:-}" in_vm "parts-$1" "$kernel" run-parts "${items[@]}"
+  kill $rear 2>/dev/null
+  wait $rear 2>/dev/null
+  rm -f "$wire" "$out/parts-rear.cpio.gz"
+}
+
 # The Driving Case over the emulator modules, in the guest's own virtual time.
 driving() {
   local kernel items program
@@ -256,7 +285,7 @@ consumers() {
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
   lanes=(kmod-7.x scx-7.x at-once-7.x machine-7.x keys-7.x together-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12 together-7.x hosts-7.x)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12 together-7.x parts-7.x hosts-7.x)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -285,6 +314,7 @@ else
     keys-*) keys "${lane#keys-}" ;;
     together-*) together "${lane#together-}" ;;
     hosts-*) hosts "${lane#hosts-}" ;;
+    parts-*) parts "${lane#parts-}" ;;
     kmod-kasan) kasan ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;

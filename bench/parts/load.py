@@ -19,22 +19,28 @@ import parts_test  # noqa: E402
 HOG = "import os, sys; os.sched_setaffinity(0, {int(sys.argv[1])})\nwhile True: pass"
 
 
+def quantiles(ways):
+    return {"messages": len(ways), **{f"p{q}_us": ways[len(ways) * q // 100] for q in (50, 90, 99)}, "max_us": ways[-1]}
+
+
 class Load(parts_test.Parts):
     def one(self, ordinary):
-        """Messages of one run: how many were not there by X, and the longest way of all, from the sender's key."""
+        """Messages of one run: how many were not there by X, and each one's way, from the end of a2 to the begin of c1, by both traces."""
         releases, period_ms, x_ms = map(int, sys.argv[2:5])
         self.setUp()
         try:
             self.solve(parts_test.TWO, x_ms=x_ms, period_ms=period_ms)
             before = ("env", f"LD_PRELOAD={parts_test.SHIFT}", "XAUTO_TEST_ORDINARY=1") if ordinary else ()
-            processes = {host: self.start(host, activations=releases, before=before) for host in ("rear", "front")}
+            processes = {host: self.start(host, activations=releases, before=before, more=("--trace-out", f"{host}.pftrace")) for host in ("rear", "front")}
             for process in processes.values():
                 process.wait(timeout=2 * releases * period_ms / 1000 + 60)
             crossing, = {host: self.ended(host, process) for host, process in processes.items()}["front"]["crossings"]
+            traces = {host: parts_test.Trace((self.at / f"{host}.pftrace").read_bytes()).on("run", "run") for host in processes}
         finally:
             self.doCleanups()
-        return {"ordinary": ordinary, "messages": crossing["messages"], "lost": crossing["lost"],
-                "longest_us": max(crossing["longest_us"], 1000 * x_ms + crossing["latest_us"] if crossing["late"] else 0)}
+        sent = {flow: s.end for s in traces["front"] for flow in s.flows_out if flow >> 63}
+        ways = sorted((s.begin - sent[flow]) // 1000 for s in traces["rear"] for flow in s.flows_in if flow in sent and flow >> 63)
+        return {"ordinary": ordinary, "lost": crossing["lost"], "way_us": ways}
 
     def runTest(self):
         hogs = [subprocess.Popen([sys.executable, "-c", HOG, str(core)]) for core in sorted(os.sched_getaffinity(0))]
@@ -43,14 +49,14 @@ class Load(parts_test.Parts):
             for _ in range(int(sys.argv[5])):
                 for ordinary in (False, True):
                     runs.append(self.one(ordinary))
-                    print(json.dumps(runs[-1]), flush=True)
+                    print(json.dumps({"ordinary": ordinary, "lost": runs[-1]["lost"], **quantiles(runs[-1]["way_us"])}), flush=True)
         finally:
             for hog in hogs:
                 hog.kill()
                 hog.wait()
         of = {ordinary: [run for run in runs if run["ordinary"] == ordinary] for ordinary in (False, True)}
-        print(json.dumps({"ordinary" if ordinary else "priority": {"messages": sum(r["messages"] + r["lost"] for r in list_), "lost": sum(r["lost"] for r in list_),
-                                                                   "longest_us": [r["longest_us"] for r in list_]} for ordinary, list_ in of.items()}))
+        print(json.dumps({"ordinary" if ordinary else "priority": {"lost": sum(r["lost"] for r in list_), **quantiles(sorted(sum((r["way_us"] for r in list_), [])))}
+                          for ordinary, list_ in of.items()}))
 
 
 if __name__ == "__main__":

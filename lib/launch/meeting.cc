@@ -423,6 +423,15 @@ std::map<std::string, std::string> Meeting::reports() const {
   return table_.reports();
 }
 
+void Meeting::tell_steps(runtime::Account& into) const {
+  const Guard lock(mutex_);
+  into.add("clock_step", steps_,
+           steps_ == 0 ? std::string()
+                       : fmt::format("the clock of '{}' was set {} time{}, by up to {:.6f} s",
+                                     request_.set_up.own.host, steps_, steps_ == 1 ? "" : "s",
+                                     static_cast<double>(longest_step_ns_) * 1e-9));
+}
+
 void Meeting::report(runtime::Account& into, std::vector<std::string>& notes) const {
   const Guard lock(mutex_);
   std::uint64_t deaths = 0;
@@ -433,11 +442,6 @@ void Meeting::report(runtime::Account& into, std::vector<std::string>& notes) co
         fmt::format("part '{}' was gone {} time{}", host, count, count == 1 ? "" : "s"));
   }
   into.add("part_gone", deaths, std::move(words));
-  into.add("clock_step", steps_,
-           steps_ == 0 ? std::string()
-                       : fmt::format("the clock of '{}' was set {} time{}, by up to {:.6f} s",
-                                     request_.set_up.own.host, steps_, steps_ == 1 ? "" : "s",
-                                     static_cast<double>(longest_step_ns_) * 1e-9));
   if (!leads_)
     return notes.push_back(
         thanked_ ? "the report of all parts is that of '" + request_.set_up.hosts.front() + "'"

@@ -56,7 +56,9 @@ class Meeting {
   [[nodiscard]] bool leads() const { return leads_; }
   /// Of the others, by host. After `end`.
   [[nodiscard]] std::map<std::string, std::string> reports() const;
-  /// "part_gone", "clock_step". After `end`.
+  /// "clock_step", of our own clock so far. Before `end`: each part tells its own, to the report of all, too.
+  void tell_steps(runtime::Account& into) const;
+  /// "part_gone". After `end`.
   void report(runtime::Account& into, std::vector<std::string>& notes) const;
 
  private:

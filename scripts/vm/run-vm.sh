@@ -3,6 +3,7 @@
 # Boots a kernel with an initramfs in QEMU (no KVM needed) and returns the status that the tests inside ended with.
 # usage: run-vm.sh KERNEL_FOLDER INITRD LOG [COMMAND]      COMMAND: what init runs, default /tests/run
 # Environment: VM_LIMIT_S (300), VM_CPUS (2), VM_MEMORY (1G), VM_APPEND (more kernel parameters)
+#   VM_MORE: more of QEMU's options, words without spaces
 #   VM_ICOUNT=S: the guest's clock counts its instructions (2^S ns each) and jumps over idle time. What the guest measures then does not
 #   depend on how busy this machine is. Its CPUs take turns, so races want the default instead.
 #   VM_THREADS=single: the guest's CPUs take turns in one thread. QEMU 7.2 with a thread each can run code that the guest has patched a moment
@@ -16,7 +17,7 @@ kernel=$1 initrd=$2 log=$3 run=${4:-/tests/run}
 clock=(-accel "tcg,thread=${VM_THREADS:-multi}")
 [ -n "${VM_ICOUNT:-}" ] && clock=(-accel tcg,thread=single -icount "shift=$VM_ICOUNT,sleep=off")
 common=("${clock[@]}" -smp "${VM_CPUS:-2}" -m "${VM_MEMORY:-1G}" -nodefaults -no-reboot -display none -serial stdio
-  -monitor none -kernel "$kernel/vmlinuz" -initrd "$initrd")
+  -monitor none ${VM_MORE:-} -kernel "$kernel/vmlinuz" -initrd "$initrd")
 append="quiet slab_nomerge oops=panic panic=-1 panic_on_warn=${VM_PANIC_ON_WARN:-0} xauto.run=$run ${VM_APPEND:-}"
 case $kernel in
   *-arm64) command=(qemu-system-aarch64 -M "virt,gic-version=3" -cpu "max,pauth-impdef=on" "${common[@]}" -append "console=ttyAMA0 $append") ;;

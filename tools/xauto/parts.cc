@@ -190,6 +190,7 @@ void add_report(const runtime::RunReport& one, const std::string& host, runtime:
 void join_reports(launch::Meeting& meeting, bool stopped, PolicyRun& run) {
   runtime::RunReport& report = run.report;
   run.tai_offset_ns = meeting.clock_offset_ns();
+  meeting.tell_steps(report.account);
   meeting.end(runtime::to_json(report), stopped ? kStoppedNs : kReportsNs);
   std::vector<std::string> notes;
   meeting.report(report.account, notes);
