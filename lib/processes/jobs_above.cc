@@ -2,102 +2,66 @@
 #include "processes/jobs_above.h"
 
 #include <algorithm>
-#include <array>
 
 namespace xauto {
 namespace {
 
-struct Part {
-  int level;
-  std::int64_t begin, end, longest;  ///< end below 0: it runs
-};
-
-/// Times that do not meet, in order.
-class Covered {
- public:
-  /// When a job that has begun then has had `own_ns` beside what is covered.
-  [[nodiscard]] std::int64_t until(std::int64_t begin, std::int64_t own_ns) const {
-    for (std::size_t i = 0; i < n_; ++i) {
-      if (parts_[i].end <= begin) continue;
-      const std::int64_t gap = std::max<std::int64_t>(0, parts_[i].begin - begin);
-      if (gap >= own_ns) break;
-      own_ns -= gap;
-      begin = parts_[i].end;
-    }
-    return begin + own_ns;
-  }
-  void add(std::int64_t begin, std::int64_t end) {
-    if (begin >= end) return;
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < n_; ++i) {
-      if (parts_[i].end < begin || parts_[i].begin > end) {
-        parts_[kept++] = parts_[i];
-        continue;
-      }
-      begin = std::min(begin, parts_[i].begin);
-      end = std::max(end, parts_[i].end);
-    }
-    n_ = kept;
-    while (kept > 0 && parts_[kept - 1].begin > begin) {
-      parts_[kept] = parts_[kept - 1];
-      --kept;
-    }
-    parts_[kept] = {begin, end};
-    ++n_;
-  }
-  [[nodiscard]] std::int64_t ns() const {
-    std::int64_t sum = 0;
-    for (std::size_t i = 0; i < n_; ++i) sum += parts_[i].end - parts_[i].begin;
-    return sum;
-  }
-
- private:
-  struct Time {
-    std::int64_t begin, end;
-  };
-  std::array<Time, JobsAbove::kKept> parts_;
-  std::size_t n_ = 0;
-};
+constexpr int kLooks = 100;  ///< whoever writes may have died
 
 }  // namespace
 
-std::uint64_t JobsAbove::begin(int level, std::int64_t now_ns, std::int64_t longest_ns) {
-  const std::uint64_t job = begun_.fetch_add(1) + 1;
-  Time& time = kept_[job % kKept];
-  time.job.store(0);
-  time.level.store(level);
-  time.begin_ns.store(now_ns);
-  time.longest_ns.store(longest_ns);
-  time.end_ns.store(kRuns);
-  time.job.store(job);
+std::int64_t JobsAbove::Seen::own_ns(std::int64_t above_ns, std::int64_t now_ns) const {
+  return std::max<std::int64_t>(0, now_ns - begin_ns - (above_ns - before_ns));
+}
+
+JobsAbove::Seen JobsAbove::look(const Level& level) {
+  Seen seen{};
+  for (int i = 0; i < kLooks; ++i) {
+    const std::uint32_t version = level.version.load();
+    seen = {level.runs.load() != 0, level.begin_ns.load(), level.longest_ns.load(),
+            level.before_ns.load(), level.had_ns.load()};
+    if (version % 2 == 0 && level.version.load() == version) break;
+  }
+  return seen;
+}
+
+std::int64_t JobsAbove::had_above(int level, std::int64_t now_ns) const {
+  std::int64_t sum = 0;
+  for (int above = high_.load() - 1; above > level; --above) {
+    const Seen seen = look(levels_[above]);
+    const std::int64_t own = seen.runs ? std::min(seen.longest_ns, seen.own_ns(sum, now_ns)) : 0;
+    sum += seen.had_ns + own;
+  }
+  return sum;
+}
+
+JobsAbove::Begun JobsAbove::begin(int level, std::int64_t now_ns, std::int64_t longest_ns) {
+  const Begun job{std::clamp(level, 0, kLevels - 1), had_above(level, now_ns)};
+  int high = high_.load();
+  while (high <= job.level && !high_.compare_exchange_weak(high, job.level + 1)) {
+  }
+  Level& of = levels_[job.level];
+  const Seen lost = look(of);
+  of.version.fetch_or(1);
+  if (lost.runs)  // its process has died
+    of.had_ns.fetch_add(std::min(lost.longest_ns, lost.own_ns(job.before_ns, now_ns)));
+  of.begin_ns.store(now_ns);
+  of.longest_ns.store(longest_ns);
+  of.before_ns.store(job.before_ns);
+  of.runs.store(1);
+  of.version.fetch_add(1);
   return job;
 }
 
-void JobsAbove::end(std::uint64_t job, std::int64_t now_ns) {
-  Time& time = kept_[job % kKept];
-  if (time.job.load() == job) time.end_ns.store(now_ns);
-}
-
-std::int64_t JobsAbove::ns(int level, std::int64_t since_ns, std::int64_t until_ns) const {
-  std::array<Part, kKept> parts;
-  std::size_t n = 0;
-  for (const Time& time : kept_) {
-    const std::uint64_t job = time.job.load();
-    const Part part{time.level.load(), time.begin_ns.load(), time.end_ns.load(),
-                    time.longest_ns.load()};
-    if (job == 0 || time.job.load() != job || part.level <= level) continue;
-    if (part.begin < until_ns && (part.end == kRuns || part.end > since_ns)) parts[n++] = part;
-  }
-  // The highest first: what those above one that runs had is known when it comes.
-  std::sort(parts.begin(), parts.begin() + static_cast<std::ptrdiff_t>(n),
-            [](const Part& a, const Part& b) { return a.level > b.level; });
-  Covered covered;
-  for (std::size_t i = 0; i < n; ++i) {
-    const auto [of, begin, end, longest] = parts[i];
-    const std::int64_t last = end == kRuns ? covered.until(begin, longest) : end;
-    covered.add(std::max(begin, since_ns), std::min(last, until_ns));
-  }
-  return covered.ns();
+void JobsAbove::end(const Begun& job, std::int64_t now_ns) {
+  const std::int64_t above_ns = had_above(job.level, now_ns);
+  Level& of = levels_[job.level];
+  const Seen seen = look(of);
+  if (!seen.runs) return;
+  of.version.fetch_or(1);
+  of.had_ns.fetch_add(seen.own_ns(above_ns, now_ns));
+  of.runs.store(0);
+  of.version.fetch_add(1);
 }
 
 }  // namespace xauto

@@ -2,35 +2,54 @@
 // Jobs that were started above others on an XPU that preempts by levels, in the board's memory. Nobody is told when
 // the hardware takes a job off and lets it go on: a job has had its XPU while none above it was started and not ended.
 // That is what its WCET is compared with, and what theorem 13 counts for it (docs/keys.md).
+//
+// At each instant that belongs to somebody it belongs to the highest that is started. So what those above a job have had
+// is the sum of what each level above has had by itself; who starts goes above all that have started, so all of these
+// began after it, and how many there were does not matter.
 #pragma once
 
 #include <atomic>
-#include <cstddef>
 #include <cstdint>
 
 namespace xauto {
 
-/// The last ones. Threads: any, of any process of the run.
+/// Threads: any, of any process of the run; each level has one job at a time.
 class JobsAbove {
  public:
-  static constexpr std::size_t kKept = 64;
+  static constexpr int kLevels =
+      64;  ///< so many jobs of an XPU are started at a time (coord/arbiter.h)
 
-  /// A job begins on `level`, 1 or more. Until end() no more counts of its own time than `longest_ns`, its WCET, since its
-  /// process may die; what those above it had meanwhile is not its own. Returns what end() wants.
-  std::uint64_t begin(int level, std::int64_t now_ns, std::int64_t longest_ns);
-  void end(std::uint64_t job, std::int64_t now_ns);
-  /// How much of this time belonged to jobs above `level`; too little where more than kKept have begun since.
-  [[nodiscard]] std::int64_t ns(int level, std::int64_t since_ns, std::int64_t until_ns) const;
+  /// A job, as begin() has returned it.
+  struct Begun {
+    int level = 0;
+    std::int64_t before_ns = 0;  ///< what the levels above it had had before
+  };
+  /// Until end() no more counts of its own time than `longest_ns`, its WCET, since its process may die.
+  Begun begin(int level, std::int64_t now_ns, std::int64_t longest_ns);
+  void end(const Begun& job, std::int64_t now_ns);
+  /// What jobs above it have had since it began.
+  [[nodiscard]] std::int64_t above_ns(const Begun& job, std::int64_t now_ns) const {
+    return had_above(job.level, now_ns) - job.before_ns;
+  }
 
  private:
-  static constexpr std::int64_t kRuns = -1;
-  struct Time {
-    std::atomic<std::uint64_t> job{};  ///< 0: nobody's, or being written
-    std::atomic<std::int32_t> level{};
-    std::atomic<std::int64_t> begin_ns{}, longest_ns{}, end_ns{};  ///< end_ns: or kRuns
+  /// Its words belong together while `version` is even.
+  struct Level {
+    std::atomic<std::uint32_t> version{};
+    std::atomic<std::uint32_t> runs{};
+    std::atomic<std::int64_t> begin_ns{}, longest_ns{}, before_ns{};  ///< of the job that runs
+    std::atomic<std::int64_t> had_ns{};                               ///< those that have ended
   };
-  std::atomic<std::uint64_t> begun_{};
-  Time kept_[kKept];
+  struct Seen {
+    bool runs;
+    std::int64_t begin_ns, longest_ns, before_ns, had_ns;
+    /// Of the one that runs; `above_ns`: what the levels above it have had.
+    [[nodiscard]] std::int64_t own_ns(std::int64_t above_ns, std::int64_t now_ns) const;
+  };
+  [[nodiscard]] static Seen look(const Level& level);
+  [[nodiscard]] std::int64_t had_above(int level, std::int64_t now_ns) const;
+  Level levels_[kLevels];
+  std::atomic<int> high_{};  ///< no job has been on this level or above
 };
 
 }  // namespace xauto

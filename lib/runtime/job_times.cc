@@ -33,9 +33,9 @@ void JobTimes::begin(const Placed& placed, std::uint64_t sequence) {
   }
   const std::int64_t now = now_ns();
   if (by_levels()) {
-    const int level = on_.port->level();
-    level_.store(level, std::memory_order_relaxed);
-    above_ = level > 0 ? on_.counts->above.begin(level, now, placed.limits.wcet_ns) : 0;
+    const auto job = on_.counts->above.begin(on_.port->level(), now, placed.limits.wcet_ns);
+    level_.store(job.level);
+    before_ns_.store(job.before_ns);
   }
   watch_.begin(now, sequence);
 }
@@ -49,8 +49,7 @@ bool JobTimes::by_levels() const {
 /// jobs above it had.
 std::int64_t JobTimes::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
   if (by_levels())
-    return ran_ns -
-           on_.counts->above.ns(level_.load(std::memory_order_relaxed), now_ns - ran_ns, now_ns);
+    return std::max<std::int64_t>(0, ran_ns - on_.counts->above.above_ns(begun(), now_ns));
   if (on_.port == nullptr || on_.preempt_ns == 0) return ran_ns;
   const std::int64_t beside_ns = on_.port->beside_ns(watch_.since_ns(), now_ns);
   return std::max<std::int64_t>(0, ran_ns - std::min(beside_ns, on_.preempt_ns));
@@ -87,9 +86,9 @@ std::int64_t JobTimes::end(const Placed& placed) {
   const std::int64_t now = now_ns();
   const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
-  if (above_ != 0) on_.counts->above.end(std::exchange(above_, 0), now);
   const bool levels = by_levels();
   const std::int64_t had_ns = levels ? own_ns(wall_ns, now) : wall_ns;
+  if (levels) on_.counts->above.end(begun(), now);
   if (holds()) on_.counts->busy_ns.fetch_add(had_ns, std::memory_order_relaxed);
   if (on_.shared) on_.port->tell_had(watch_.since_ns(), now, wall_ns);
   if (!placed.limited) return without.core_ns;

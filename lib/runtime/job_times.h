@@ -73,10 +73,12 @@ class JobTimes {
   [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
   [[nodiscard]] bool by_levels() const;
+  [[nodiscard]] JobsAbove::Begun begun() const { return {level_.load(), before_ns_.load()}; }
 
   On on_;
-  std::atomic<int> level_{0};                  ///< of its XPU's levels, on which the job runs
-  std::uint64_t above_{0};                     ///< what JobsAbove calls it; 0: it is on the lowest
+  /// By levels, of the job that runs: JobsAbove::Begun.
+  std::atomic<int> level_{0};
+  std::atomic<std::int64_t> before_ns_{0};
   Stopwatch watch_;                            ///< of the job that runs
   std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
   std::int64_t overslept_ns_ = 0;

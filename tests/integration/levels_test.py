@@ -151,9 +151,12 @@ class Profile(Case):
         self.assertGreaterEqual(times["beside"]["gpu"]["gpu0"]["max_us"], least_us)
         app = json.loads((self.folder / "app.json").read_text())
         self.assertGreaterEqual(next(x["wcet_us"]["gpu"] for x in app["xnodes"] if x["name"] == "urgent.run"), least_us)
+        for source in app["sources"]:  # time for all, however long a machine that stalls took
+            source["period_us"], source["jitter_us"] = 60_000_000, 0
+        self.write("app.json", app)
         done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--max-evaluations", 100, "--threads", 1, "--out",
                      "policy.json", cwd=self.folder)
-        self.assertIn(done.returncode, (0, 1), done.stderr)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         chain = next(c for c in json.loads((self.folder / "policy.json").read_text())["chains"] if "urgent" in c["name"])
         self.assertGreaterEqual(chain["worst_case_us"], least_us, "the claim, too")
 
