@@ -15,7 +15,7 @@
 #include "model/json.h"
 #include "solver/keys/check.h"
 
-namespace xauto::solver::keys {
+namespace xauto::solver::keys::tiny_hosts {
 namespace {
 
 constexpr int kX = 9, kPeriod = 36, kShort = 2, kLong = 5, kJitter = 3, kHorizon = 4 * kPeriod;
@@ -426,4 +426,4 @@ TEST(KeysHostsTiny, AMessageThatGoesOnBeforeItsReleaseIsFound) {
 }
 
 }  // namespace
-}  // namespace xauto::solver::keys
+}  // namespace xauto::solver::keys::tiny_hosts
