@@ -59,13 +59,13 @@ inline AppSpec random_rated_app(solver::test::Dice& dice, const RatedShape& shap
   AppSpec app;
   app.name = "tiny";
   for (int c = 1; c < shape.clocks; ++c)
-    app.clocks.push_back({test::numbered("clock", c), shape.ppm});
+    app.clocks.push_back({solver::test::numbered("clock", c), shape.ppm});
   const int components = dice.roll(1, shape.max_components);
   std::vector<int> first, count;
   const int grain = dice.roll(shape.least_period, shape.most_period);
   for (int c = 0; c < components; ++c) {
     SourceSpec source;
-    source.name = test::numbered("source", c);
+    source.name = solver::test::numbered("source", c);
     // Periods with short hyperperiods.
     source.period = {grain * dice.roll(1, 3), 1};
     if (shape.fractions && dice.chance(50)) source.period = {source.period.num * 3 + 1, 3};
@@ -85,8 +85,8 @@ inline AppSpec random_rated_app(solver::test::Dice& dice, const RatedShape& shap
     const int in_a_module = dice.roll(1, 3);
     for (int i = 0; i < nodes; ++i) {
       XNodeSpec x;
-      x.name = test::numbered(test::numbered("c", c) + ".x", i);
-      x.module = test::numbered(test::numbered("c", c) + "m", i / in_a_module);
+      x.name = solver::test::numbered(solver::test::numbered("c", c) + ".x", i);
+      x.module = solver::test::numbered(solver::test::numbered("c", c) + "m", i / in_a_module);
       const int where = dice.roll(0, 2);
       if (where != 1) x.wcet_us["cpu"] = dice.roll(1, shape.max_wcet);
       if (where != 0) x.wcet_us["gpu"] = dice.roll(1, shape.max_wcet);
@@ -110,9 +110,10 @@ inline AppSpec random_rated_app(solver::test::Dice& dice, const RatedShape& shap
     const int from = dice.roll(0, c - 1);
     app.samples.emplace_back(last(from), first[static_cast<std::size_t>(c)] +
                                              dice.roll(0, count[static_cast<std::size_t>(c)] - 1));
-    app.chains.push_back({test::numbered("across", c), from, last(c)});
+    app.chains.push_back({solver::test::numbered("across", c), from, last(c)});
   }
-  for (int c = 0; c < components; ++c) app.chains.push_back({test::numbered("own", c), c, last(c)});
+  for (int c = 0; c < components; ++c)
+    app.chains.push_back({solver::test::numbered("own", c), c, last(c)});
   if (shape.transfers && !app.edges.empty() && dice.chance(60)) {
     const auto [u, v] = app.edges.front();
     const auto& from = app.xnodes[static_cast<std::size_t>(u)].wcet_us;
