@@ -32,11 +32,7 @@ void Distribution::add(std::int64_t value) {
   ++count_;
   sum_ += value;
   max_ = std::max(max_, value);
-  if (buckets_.empty() && exact_.size() < kMaxExact) {
-    exact_.push_back(value);
-    return;
-  }
-  give_up_exactness();
+  if (exact_.size() + 1 == count_ && exact_.size() < kMaxExact) exact_.push_back(value);
   put(bucket_of(value), 1);
 }
 
@@ -45,24 +41,23 @@ void Distribution::put(std::uint32_t bucket, std::uint64_t times) {
   buckets_[bucket] += times;
 }
 
-void Distribution::give_up_exactness() {
-  if (exact_.empty()) return;
-  for (const std::int64_t value : exact_) put(bucket_of(value), 1);
-  exact_ = {};
+std::vector<std::int64_t> Distribution::exact() const {
+  if (!has_all()) return {};
+  return {exact_.begin(), exact_.end()};
 }
 
 std::map<std::uint32_t, std::uint64_t> Distribution::buckets() const {
   std::map<std::uint32_t, std::uint64_t> used;
-  for (const std::int64_t value : exact_) ++used[bucket_of(value)];
   for (std::uint32_t b = 0; b < buckets_.size(); ++b)
     if (buckets_[b] != 0) used[b] = buckets_[b];
   return used;
 }
 
 void Distribution::merge(const Distribution& other) {
-  for (const std::int64_t value : other.exact_) add(value);
-  if (other.buckets_.empty()) return;
-  give_up_exactness();
+  if (other.has_all()) {
+    for (const std::int64_t value : other.exact_) add(value);
+    return;
+  }
   for (std::uint32_t b = 0; b < other.buckets_.size(); ++b)
     if (other.buckets_[b] != 0) put(b, other.buckets_[b]);
   count_ += other.count_;
@@ -73,8 +68,8 @@ void Distribution::merge(const Distribution& other) {
 std::int64_t Distribution::quantile(double q) const {
   if (count_ == 0) return 0;
   const std::uint64_t rank = nearest_rank(q, count_);
-  if (buckets_.empty()) {
-    std::vector<std::int64_t> sorted = exact_;
+  if (has_all()) {
+    std::vector<std::int64_t> sorted = exact();
     const auto at = sorted.begin() + static_cast<std::ptrdiff_t>(rank - 1);
     std::nth_element(sorted.begin(), at, sorted.end());
     return *at;
@@ -94,6 +89,7 @@ bool Distribution::restore(std::vector<std::int64_t> exact,
   for (const auto& [bucket, times] : buckets)
     if (bucket >= kBuckets || times > std::uint64_t{1} << 40) return false;
   into = {};
+  for (const std::int64_t value : exact) into.put(bucket_of(value), 1);
   into.count_ = exact.size();
   for (const auto& [bucket, times] : buckets) {
     into.put(bucket, times);
@@ -101,7 +97,7 @@ bool Distribution::restore(std::vector<std::int64_t> exact,
   }
   into.sum_ = sum;
   into.max_ = max;
-  into.exact_ = std::move(exact);
+  into.exact_.assign(exact.begin(), exact.end());
   return true;
 }
 

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many times in bounded memory: every value as long as there are few of them, then a histogram
-// whose buckets are at most 1/64 wide. Count, sum and largest value are always exact.
+// Many times in bounded memory: every value as long as there are few of them, and a histogram whose buckets are at most
+// 1/64 wide. Count, sum and largest value are always exact. To add one takes the same time however many there are: whoever
+// ends a release does it, before the next job.
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <vector>
 
@@ -24,8 +26,9 @@ class Distribution {
     return count_ == 0 ? 0 : sum_ / static_cast<std::int64_t>(count_);
   }
 
-  // For the way between processes: the values as long as there are few, and always buckets with their counts.
-  [[nodiscard]] const std::vector<std::int64_t>& exact() const { return exact_; }
+  // For the way between processes: the values, in their order, as long as there are few, and always buckets with their
+  // counts.
+  [[nodiscard]] std::vector<std::int64_t> exact() const;
   [[nodiscard]] std::map<std::uint32_t, std::uint64_t> buckets() const;
   [[nodiscard]] std::int64_t sum() const { return sum_; }
   /// False: these numbers cannot come from a Distribution.
@@ -40,11 +43,12 @@ class Distribution {
 
  private:
   void put(std::uint32_t bucket, std::uint64_t times);
-  void give_up_exactness();
+  [[nodiscard]] bool has_all() const { return exact_.size() == count_; }
   std::uint64_t count_ = 0;
   std::int64_t sum_ = 0, max_ = 0;
-  std::vector<std::int64_t> exact_;     ///< unless there are buckets
-  std::vector<std::uint64_t> buckets_;  ///< up to the largest one in use
+  std::deque<std::int64_t>
+      exact_;  ///< the first kMaxExact, in pieces: a vector that grows copies all
+  std::vector<std::uint64_t> buckets_;  ///< of all, up to the largest one in use
 };
 
 }  // namespace xauto::runtime
