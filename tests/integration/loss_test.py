@@ -327,8 +327,9 @@ class LossByKeys(ByTheMachine, unittest.TestCase):
         changes = [t for i, t in enumerate(had) if i == 0 or had[i - 1] != t]
         rest = iter([loses[self.serves["nominal"]["name"]]] + [loses[s["table"]] for s in report["switches"]])
         self.assertTrue(all(any(t == s for s in rest) for t in changes), (changes, report["switches"]))
-        # Seven, but where jobs that this machine makes longer ask for more: then it stays there.
-        self.assertGreater(len(changes), 1)
+        # Seven. Where jobs that this machine makes longer have asked for more, it stays there.
+        as_asked = all(s["why"] == "asked" for s in report["switches"])
+        self.assertGreater(len(changes), 3 if as_asked else 1, report["switches"])
         # What is off is no loss.
         modules = {m["name"]: m for m in report["modules"]}
         off = collections.Counter(m for without, _ in had for m in without)
@@ -336,7 +337,7 @@ class LossByKeys(ByTheMachine, unittest.TestCase):
             module = modules[name]
             self.assertEqual((module["dropped"], module["failed"]), (0, 0), name)
             self.assertEqual((module["activations"], module.get("off", 0)), (len(had) - off[name], off[name]), name)
-        self.assertGreaterEqual(off["log"], off["show"])  # equal where it was never better than "slowest"
+        (self.assertGreater if as_asked else self.assertGreaterEqual)(off["log"], off["show"])
         self.assertGreater(off["show"], 0)
         # While it is off nobody waits for the chain: what came has a latency, and nothing else.
         log = next(c for c in report["chains"] if c["name"] == "log")
