@@ -53,18 +53,11 @@ inline void add_gpu(Node& node, const Stage& stage) {
 }
 
 inline Module make_real(const std::string& name) {
-  Module module(name);
-  const auto add = [&](const Stage& stage) {
-    if (stage.module != name) return;
-    Node node(stage.xnode);
+  return module_of(name, [](Node& node, const Stage& stage) {
     if (stage.cpu_us > 0) add_cpu(node, stage);
     if (stage.gpu_us > 0) add_gpu(node, stage);
     if (stage.dla_us > 0) add_emulated(node, stage.xnode, xauto::XPU::DLA, stage.dla_us);
-    module.add_node(node);
-  };
-  for (const Stage& stage : kStages) add(stage);
-  for (const Stage& stage : kControlStages) add(stage);
-  return module;
+  });
 }
 
 }  // namespace driving

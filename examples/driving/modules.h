@@ -62,20 +62,27 @@ inline void add_emulated(Node& node, const char* stage, const xauto::XPU& xpu, i
       });
 }
 
-/// The module with all its stages of times.h, in their order.
-inline Module make_module(const std::string& name) {
+/// The module with all its stages of times.h, in their order; `add_impls` gives a node its implementations.
+template <class AddImpls>
+Module module_of(const std::string& name, AddImpls add_impls) {
   Module module(name);
   const auto add = [&](const Stage& stage) {
     if (stage.module != name) return;
     Node node(stage.xnode);
-    if (stage.cpu_us > 0) add_emulated(node, stage.xnode, xauto::XPU::CPU, stage.cpu_us);
-    if (stage.gpu_us > 0) add_emulated(node, stage.xnode, xauto::XPU::GPU, stage.gpu_us);
-    if (stage.dla_us > 0) add_emulated(node, stage.xnode, xauto::XPU::DLA, stage.dla_us);
+    add_impls(node, stage);
     module.add_node(node);
   };
   for (const Stage& stage : kStages) add(stage);
   for (const Stage& stage : kControlStages) add(stage);
   return module;
+}
+
+inline Module make_module(const std::string& name) {
+  return module_of(name, [](Node& node, const Stage& stage) {
+    if (stage.cpu_us > 0) add_emulated(node, stage.xnode, xauto::XPU::CPU, stage.cpu_us);
+    if (stage.gpu_us > 0) add_emulated(node, stage.xnode, xauto::XPU::GPU, stage.gpu_us);
+    if (stage.dla_us > 0) add_emulated(node, stage.xnode, xauto::XPU::DLA, stage.dla_us);
+  });
 }
 
 }  // namespace driving
