@@ -8,8 +8,8 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
 passed=0 failed=0 skipped=0
-failures=$(mktemp)
-trap 'rm -f "$failures"' EXIT
+failures=$(mktemp) late=$(mktemp)
+trap 'rm -f "$failures" "$late"' EXIT
 started=$(date +%s)
 
 failure() { failed=$((failed + 1)); echo "$1" >>"$failures"; }
@@ -54,27 +54,22 @@ build() {
   fi
 }
 
-# ctest_shown DIR REPORT CTEST_ARGUMENT...: ctest, without what passed.
+# ctest_shown DIR CTEST_ARGUMENT...: ctest, without what passed.
 ctest_shown() {
-  local dir=$1 report=$PWD/$1/$2
-  shift 2
+  local dir=$1 report=$PWD/$1/junit.xml
+  shift
   rm -f "$report"
-  (cd "$dir" && ctest --output-on-failure --output-junit "$report" "$@") | tee -a "$dir/ctest.log" |
+  (cd "$dir" && ctest --output-on-failure --output-junit "$report" "$@") </dev/null | tee "$dir/ctest.log" |
     grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed|Test +#[0-9]+: .*Passed)'
   return "${PIPESTATUS[0]}"
 }
-# ctest_counted DIR CTEST_ARGUMENT...: ctest, and what scripts/count-tests.py counts of it. With `reports` set, gtest's reports count,
-# and `again` says which areas are to run again; without, what failed is run once more, one after the other.
+# ctest_counted DIR CTEST_ARGUMENT...: ctest, and what scripts/count-tests.py counts of it: of each test, or with `reports` set, of
+# each test of gtest's reports. `again` says what is to run again: names, "|" between them.
 ctest_counted() {
   local dir=$1 status passes bad skip
   shift
-  rm -f "$dir/ctest.log" "$dir/again.xml"
-  ctest_shown "$dir" junit.xml -j"${parallel:-$jobs}" "$@"
+  ctest_shown "$dir" -j"${parallel:-$jobs}" "$@"
   status=$?
-  if [ $status -ne 0 ] && [ -z "$reports" ]; then
-    ctest_shown "$dir" again.xml --rerun-failed -j1 --timeout 300
-    status=$?
-  fi
   { read -r passes bad skip again; sed "s|$| ($dir)|" >>"$failures"; } < <(scripts/count-tests.py "$dir" ${reports:+"$reports"})
   failed=$((failed + bad))
   if [ "$bad" -eq 0 ] && [ -z "$again" ] && { [ "$status" -ne 0 ] || [ "$passes" -eq 0 ]; }; then
@@ -86,10 +81,11 @@ ctest_counted() {
 }
 
 # tests DIR CTEST_ARGUMENT...: each in a process of its own. Threads and processes run in real time, on machines that stand still
-# for a quarter of a second: a test that fails is run once more when the others have ended, and named.
+# for a quarter of a second: a test that fails is run once more, by `once_more`, and named. But for a sanitizer's report.
 tests() {
   local reports='' again
   ctest_counted "$@" --timeout 300
+  [ -z "$again" ] || echo "$1 $again" >>"$late"
 }
 
 # areas DIR CTEST_ARGUMENT...: unit tests, those of an area in one process (a process of its own per test cost as much CPU time as
@@ -99,6 +95,19 @@ areas() {
   rm -rf "$reports"
   ctest_counted "$@" -L '^area$' --timeout 600
   [ -z "$again" ] || { note "each by itself: ${again//|/, }"; tests "$1" -L unit -R "^($again)\\."; }
+}
+
+# What failed, one after the other, when nothing else of the check runs any more: this counts.
+once_more() {
+  local dir names reports='' again parallel=1
+  while read -r dir names; do
+    note "once more, alone: ${names//|/, }"
+    ctest_counted "$dir" -R "^(${names//./\\.})\$" --timeout 300
+    failed=$((failed + $(grep -c . <<<"${again//|/$'\n'}")))
+    sed "/^$/d; s|$| ($dir)|" <<<"${again//|/$'\n'}" >>"$failures"
+    comm -23 <(sort <<<"${names//|/$'\n'}") <(sort <<<"${again//|/$'\n'}") |
+      sed 's/^/check: /; s/$/ failed, and passed when it was run again/'
+  done <"$late"
 }
 
 style() {
@@ -254,6 +263,7 @@ case ${1:-check} in
     exit 2
     ;;
 esac
+once_more
 note "done"
 sort -u "$failures" | sed 's/^/check: failed: /'
 echo "$passed passed, $failed failed, $skipped skipped"

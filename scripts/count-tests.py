@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts what ctest ran, for scripts/check.sh.
 
-  count-tests.py BUILD [DIRECTORY]   BUILD has ctest's reports junit.xml and again.xml, of those that were run again, and what it
-                                     printed, ctest.log; DIRECTORY: gtest's reports, AREA.xml
+  count-tests.py BUILD [DIRECTORY]   BUILD has ctest's report, junit.xml, and what it printed, ctest.log; DIRECTORY: gtest's
+                                     reports, AREA.xml
 
-Prints "PASSED FAILED SKIPPED", then the name of each that failed, one a line. A test that said why it does not run here is skipped; one that did not run for any other reason has
-failed. One that passed when it was run again is named. What a sanitizer reported stays a failure, whatever a second run says.
+Prints "PASSED FAILED SKIPPED NAME|NAME": those names are to run again, and are in no count. Where a sanitizer reported something they
+have failed, whatever a second run would say: FAILED counts them, and their names follow, one a line. A test that said why it does not
+run here is skipped; one that did not run for any other reason is to run again.
 
-With DIRECTORY each of ctest's tests is an area, whose tests gtest has counted. Prints "PASSED FAILED SKIPPED AREA|AREA": of the areas
-that passed, and those to run again, each test by itself. FAILED is 1 if a sanitizer reported something there."""
+With DIRECTORY each of ctest's tests is an area, whose tests gtest has counted; those of an area to run again are in no count. FAILED
+is 1 if a sanitizer reported something there."""
 import os
 import re
 import sys
@@ -41,14 +42,12 @@ def count_tests(cases, log):
     passed = passed_of(cases)
     said = {c.get("name"): c.find("skipped") for c in cases if c.get("status") == "notrun"}
     skipped = {name for name, s in said.items() if s is not None and s.get("message", "").startswith("SKIP_")}
-    again = passed & set(re.findall(r"Test +#\d+: (\S+) .*\*\*\*(?:Failed|Timeout|Exception)", log))
-    for name in sorted(again):
-        print(f"check: {name} failed, and passed when it was run again", file=sys.stderr)
-    if again and sanitizer_reported(log):
-        passed -= again
-    failed = [c.get("name") for c in cases if c.get("name") not in passed | skipped]
-    print(len(passed), len(failed), len(skipped))
-    print("".join(name + "\n" for name in failed), end="")
+    bad = [c.get("name") for c in cases if c.get("name") not in passed | skipped]
+    if bad and sanitizer_reported(log):
+        print(len(passed), len(bad), len(skipped))
+        print("".join(name + "\n" for name in bad), end="")
+    else:
+        print(len(passed), 0, len(skipped), "|".join(bad))
 
 
 def count_areas(cases, log, directory):
@@ -73,8 +72,7 @@ def count_areas(cases, log, directory):
 
 
 def main(build, directory=None):
-    cases = {case.get("name"): case for report in ("junit.xml", "again.xml")
-             for case in cases_of(os.path.join(build, report), "testcase")}.values()
+    cases = cases_of(os.path.join(build, "junit.xml"), "testcase")
     with open(os.path.join(build, "ctest.log"), errors="replace") as file:
         text = file.read()
     if directory is None:

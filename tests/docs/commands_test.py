@@ -2,9 +2,10 @@
 """Every command in README.md, docs/tutorial.md and docs/nets.md is run, in order, and must print what the page shows.
 
 A ```console block holds `$ command` lines, each followed by what it prints to stdout. Compared up to numbers (each is
-a #), instances of XPUs, whether a chain is `optimal` and a worst case starred (times decide), runs of blanks and
-rulers; `...` on a line of its own stands for any lines, `…` inside a line for any text. Every command must end with status 0. Where a number says
-how long something took, no page can be wrong about it.
+a #), instances of XPUs, whether a chain is `optimal`, a worst case starred and a job kept waiting before it began or
+after it (times decide), runs of blanks and rulers; `...` on a line of its own stands for any lines, `…` inside a line
+for any text. Every command must end with status 0. Where a number says how long something took, no page can be wrong
+about it.
 
 The folder is a temporary checkout: links to this one, a `build` of its own that links to what is built, its own home.
 `make`, which would build again, is asked whether it knows the target (`make -n`); `make demo` runs what it
@@ -31,6 +32,7 @@ def normal(line):
     line = re.sub(r"\b(?:cpu|gpu|dla)(?=\d)", "xpu", line)
     line = re.sub(r"% +optimal$", "%", line)
     line = re.sub(r"\*(?=\d)", "", line)
+    line = line.replace("off the XPU for ", "waited ").replace(" ms, preempted by ", " ms for ")
     line = re.sub(r"\s+", " ", NUMBER.sub(" # ", line)).strip()
     return re.sub(r"(?<!# )# - #", "# # #", line, count=1)  # no p99 of fewer than 100 results
 
