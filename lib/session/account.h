@@ -19,7 +19,7 @@ namespace xauto::runtime {
 
 /// Something that claims take for granted (model/claims.h), or of which a run is watched all the same.
 struct Assumption {
-  std::string kind;         ///< for programs, "wcet_overrun"; docs/formats.md has all
+  std::string kind;         ///< for programs, "wcet_overrun"; docs/monitoring.md has all
   std::uint64_t count = 0;  ///< how often it was not kept; 0: it was, as far as is watched
   std::vector<std::string>
       words;  ///< how it was not, a line each; empty: it was kept, or claims do not rest on it
