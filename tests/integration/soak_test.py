@@ -23,13 +23,16 @@ GROWTH_KB = 4 * 1024  # accounts of the last 65536 releases, and what malloc kee
 
 
 def measure(pid):
-    """(anonymous memory in kB, descriptors, mappings of shared memory)"""
+    """(anonymous memory in kB, descriptors and threads, mappings of shared memory). A thread opens its own schedstat once, with
+    the first job that it does itself: that may be late."""
     folder = pathlib.Path(f"/proc/{pid}")
     try:
         anonymous = next(int(line.split()[1]) for line in (folder / "status").read_text().splitlines()
                          if line.startswith("RssAnon"))
         shared = sum("memfd:" in line for line in (folder / "maps").read_text().splitlines())
-        return anonymous, len(os.listdir(folder / "fd")), shared
+        of = [os.readlink(folder / "fd" / fd) for fd in os.listdir(folder / "fd")]
+        threads = len(os.listdir(folder / "task"))
+        return anonymous, sum(not name.endswith("/schedstat") for name in of) + threads, shared
     except (OSError, StopIteration):
         return None  # it has ended
 
