@@ -119,14 +119,14 @@ namespace {
 /// Only one process at a time makes the socket at a path: who has locked the file beside it, which stays, as the socket
 /// does. The kernel ends the lock of who dies. It is not the folder's lock, which anybody may take who may read it.
 Result<UniqueFd> lock_path(const std::string& path) {
-  constexpr std::int64_t kLimitNs = 1'000'000'000;
+  constexpr int kTries = 1000;  // a millisecond apart; where the machine stands still, that is one
   const std::string name = path + ".lock";
   UniqueFd file(open(name.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0600));
   if (!file) return fail(ErrorCode::kIo, errno_text("cannot lock"), name);
-  for (const std::int64_t until = now_ns() + kLimitNs; flock(file.get(), LOCK_EX | LOCK_NB) != 0;) {
+  for (int tries = 0; flock(file.get(), LOCK_EX | LOCK_NB) != 0; ++tries) {
     if (errno != EWOULDBLOCK && errno != EINTR)
       return fail(ErrorCode::kIo, errno_text("cannot lock"), name);
-    if (now_ns() >= until)
+    if (tries == kTries)
       return fail(ErrorCode::kTimeout,
                   "another process is about to listen there, and does not go on", path,
                   "`fuser " + name + "` says who it is");
