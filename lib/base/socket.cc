@@ -12,6 +12,7 @@
 
 #include <fcntl.h>
 #include <poll.h>
+#include <sys/file.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/uio.h>
@@ -113,6 +114,46 @@ Result<UniqueFd> connect_path(const std::string& path, int timeout_ms) {
   return connect_within(path, timeout_ms);
 }
 
+namespace {
+
+/// Only one process at a time makes the socket at a path: who has locked the file beside it, which stays, as the socket
+/// does. The kernel ends the lock of who dies. It is not the folder's lock, which anybody may take who may read it.
+Result<UniqueFd> lock_path(const std::string& path) {
+  constexpr int kTries = 1000;  // a millisecond apart; where the machine stands still, that is one
+  const std::string name = path + ".lock";
+  UniqueFd file(open(name.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0600));
+  if (!file) return fail(ErrorCode::kIo, errno_text("cannot lock"), name);
+  for (int tries = 0; flock(file.get(), LOCK_EX | LOCK_NB) != 0; ++tries) {
+    if (errno != EWOULDBLOCK && errno != EINTR)
+      return fail(ErrorCode::kIo, errno_text("cannot lock"), name);
+    if (tries == kTries)
+      return fail(ErrorCode::kTimeout,
+                  "another process is about to listen there, and does not go on", path,
+                  "`fuser " + name + "` says who it is");
+    sleep_until_ns(now_ns() + 1'000'000);
+  }
+  return file;
+}
+
+/// Whether what is at `path`, a socket or nothing, was left by one who has gone.
+Status nobody_listens(const std::string& path) {
+  sockaddr_un name;
+  XAUTO_ASSIGN(const socklen_t length, fill(name, path));
+  const UniqueFd asks(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  if (!asks) return fail(ErrorCode::kIo, errno_text("socket"), path);
+  if (connect(asks.get(), reinterpret_cast<sockaddr*>(&name), length) != 0) {
+    if (errno == ECONNREFUSED || errno == ENOENT) return {};
+    return fail(ErrorCode::kUnavailable, errno_text("somebody may listen there"), path);
+  }
+  XAUTO_ASSIGN(const Peer server, peer_of(asks.get()));
+  return fail(ErrorCode::kUnavailable,
+              "is served already, by uid " + std::to_string(server.uid) + ", pid " +
+                  std::to_string(server.pid),
+              path, "stop that one, or listen elsewhere");
+}
+
+}  // namespace
+
 Result<UniqueFd> listen_path(const std::string& path, mode_t mode) {
   if (path.empty() || path.front() != '/')
     return fail(ErrorCode::kInvalid, "is no path of a socket: it begins with '/'", path);
@@ -123,6 +164,8 @@ Result<UniqueFd> listen_path(const std::string& path, mode_t mode) {
   struct stat status {};
   if (lstat(path.c_str(), &status) == 0 && !S_ISSOCK(status.st_mode))
     return fail(ErrorCode::kIo, "cannot listen: a file that is no socket has this name", path);
+  XAUTO_ASSIGN(const UniqueFd lock, lock_path(path));
+  XAUTO_TRY(nobody_listens(path));
   if (lstat(fresh.c_str(), &status) == 0 && S_ISSOCK(status.st_mode)) unlink(fresh.c_str());
   UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), path);

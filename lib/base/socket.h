@@ -29,7 +29,8 @@ namespace xauto {
 /// A socket in the file system: its directory's permissions say who may serve it, its own who may connect. At most
 /// 100 bytes. Waits as connect_abstract does.
 [[nodiscard]] Result<UniqueFd> connect_path(const std::string& path, int timeout_ms = 10'000);
-/// Removes what a server before us has left at `path`, but no other kind of file. `mode`: of the socket.
+/// Removes what a server before us has left at `path`, but no other kind of file. `mode`: of the socket. kUnavailable:
+/// somebody listens there, and the error says who. Of several at once one gets it; `path`.lock is theirs, and stays.
 [[nodiscard]] Result<UniqueFd> listen_path(const std::string& path, mode_t mode);
 /// Whoever serves it: ask peer_of. Does not wait: kTimeout if the queue is full.
 [[nodiscard]] Result<UniqueFd> connect_to_anybody(const std::string& address);

@@ -81,8 +81,13 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (session.parts.process != 0) XAUTO_TRY(e.open_trace(false));
   Board& board = *e.role_->board();
   if (e.role_->leads())
-    for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
-      name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
+    for (std::size_t m = 0; m < e.graph_.modules.size(); ++m) {
+      ModuleLine& line = board.module(static_cast<int>(m));
+      name_line(line.name, e.graph_.modules[m].name);
+      if (e.plan_.process_of[m] == Plan::kElsewhere)
+        name_line(line.host,
+                  session.platform.hosts[static_cast<std::size_t>(e.plan_.host_of[m])].name);
+    }
   if (e.role_->leads())
     for (std::size_t n = 0; n < e.graph_.nodes.size(); ++n) {
       const Graph::Node& node = e.graph_.nodes[n];
@@ -93,6 +98,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     }
   if (e.role_->leads())
     for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
+      if (session.elsewhere(x)) continue;
       const Xpu& xpu = session.platform.xpus[x];
       name_line(board.xpu(x).name, xpu.id);
       if (xpu.type != "cpu" && !session.emulated(static_cast<int>(x)))

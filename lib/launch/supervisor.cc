@@ -399,7 +399,9 @@ class Supervisor {
       return e.kind == kind && e.ts_ns > dumps.shown_ns;
     });
     if (first == events.end()) return;
-    Incident incident{hang, *first, {}};
+    Incident incident{hang, *first, {}, {}};
+    for (std::uint32_t m = 0; board_ && m < board_->shape().modules; ++m)
+      incident.modules.push_back(line_name(board_->module(static_cast<int>(m)).name));
     // From before the release that it is about: a miss tells its latency, a hang its limit.
     const std::uint64_t took = std::uint64_t{first->arg} * (hang ? 1'000'000 : 1'000);
     const std::uint64_t before = took + kBeforeNs;

@@ -45,6 +45,7 @@ struct Incident {
   bool hang = false;
   trace::Event event{};  ///< XAUTO_EV_MISS or XAUTO_EV_HANG
   trace::Recording trace;
+  std::vector<std::string> modules;  ///< names, as events number them; those of other hosts, too
 };
 
 struct Supervision {

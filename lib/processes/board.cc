@@ -26,7 +26,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f52;  // "XBOR"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f53;  // "XBOS"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +

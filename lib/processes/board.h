@@ -128,6 +128,7 @@ struct alignas(64) ModuleLine {
   std::atomic<std::uint32_t> in_flight{};  ///< [M] activations that are
   std::atomic<std::uint32_t> deaths{};     ///< [H] of its process
   char name[kBoardNameBytes] = {};         ///< [H] before the run
+  char host[kBoardNameBytes] = {};         ///< ... which other host has it; empty: it is here
   /// [H] 1 before the run, [S] grows when parameters change; see parameters.h.
   std::atomic<std::uint64_t> parameters{};
   [[nodiscard]] std::uint64_t settled() const {
@@ -265,7 +266,7 @@ struct alignas(64) ScenarioLine {
 
 /// An XPU of the platform, by the jobs that ran there.
 struct alignas(64) XpuLine {
-  char name[kBoardNameBytes] = {};  ///< [H] before the run
+  char name[kBoardNameBytes] = {};  ///< [H] before the run; empty: another host has it
   // [M], by the workers of all processes:
   std::atomic<std::uint64_t> suspensions{};  ///< of queues, by the backend
   /// Of the backend's calls that suspended and resumed one.

@@ -323,13 +323,16 @@ class Painter {
       }
       const int own = job.activation;
       const std::vector<Take>& takes = takes_of(own);
+      std::string messages;   // of other hosts
       if (!from_somewhere) {  // its origin
         for (const Take& take : takes) {
           connect_take(take, last_job, *first, begin_of(first_[j]));
-          if (elsewhere(take.module))  // activations of a component are numbered alike
-            first->across_in.push_back(
-                across(take.module, job.module, static_cast<std::int64_t>(job.sequence)));
+          if (!elsewhere(take.module)) continue;
+          first->across_in.push_back(
+              across(take.module, job.module, static_cast<std::int64_t>(job.sequence)));
+          messages += (messages.empty() ? "" : "; ") + message_to(job, take.module);
         }
+        if (!messages.empty()) first->args.emplace_back("messages", std::move(messages));
         if (takes.empty() && own >= 0)
           arrow(activations_[static_cast<std::size_t>(own)], *first,
                 story_.activations[static_cast<std::size_t>(own)].begin_ns < begin_of(first_[j]));
@@ -349,7 +352,27 @@ class Painter {
 
   [[nodiscard]] bool elsewhere(int module) const {
     return static_cast<std::size_t>(module) < scene_.elsewhere.size() &&
-           scene_.elsewhere[static_cast<std::size_t>(module)];
+           !scene_.elsewhere[static_cast<std::size_t>(module)].empty();
+  }
+  /// What `job` has from `module` of another host, whose part alone knows when it was sent; times are since the release.
+  /// Activations of a component are numbered alike.
+  [[nodiscard]] std::string message_to(const JobStory& job, int module) const {
+    const auto m = static_cast<std::size_t>(module);
+    std::string out;
+    for (const auto& [u, v] : app_.edges) {
+      if (v != job.xnode ||
+          app_.xnodes[static_cast<std::size_t>(u)].module != scene_.modules[m].name)
+        continue;
+      out = fmt::format("{} {} of host {}", name(u), job.sequence, scene_.elsewhere[m]);
+      if (scene_.keys == nullptr) continue;
+      const std::vector<std::int64_t>& keys =
+          scene_.keys->placements[static_cast<std::size_t>(u)].key_us;
+      for (const Crossing& crossing : scene_.keys->crossings)
+        if (crossing.from == u && crossing.host + 1 == static_cast<int>(scene_.group))
+          out +=
+              fmt::format(", key {} us, X {} us", keys[job.sequence % keys.size()], crossing.x_us);
+    }
+    return out;
   }
   /// Of the arrow from an activation of a module to one of a module of another host: both hosts' files have it.
   [[nodiscard]] std::uint64_t across(int from, int to, std::int64_t number) const {

@@ -53,7 +53,7 @@ struct Scene {
   /// Of a host's part of a run. Files of all parts, one behind the other, are one timeline: tracks stay apart by `group`,
   /// from 1 on, and arrows cross.
   std::uint32_t group = 1;
-  std::vector<bool> elsewhere = {};  ///< [module] it is on another host; empty: none is
+  std::vector<std::string> elsewhere = {};  ///< [module] which other host has it; empty: none
 };
 
 /// The file. Errors: an XPU has no row.

@@ -506,19 +506,14 @@ Result<Story> story_of(const AppSpec& app, const Platform& platform,
   return story;
 }
 
-std::vector<ModuleInfo> modules_of(const AppSpec& app, const trace::Recording& trace) {
+std::vector<ModuleInfo> modules_of(const AppSpec& app, const std::vector<std::string>& names) {
   std::vector<ModuleInfo> modules;
-  for (const trace::Event& e : trace.events) {
-    if (e.module == XAUTO_EV_NONE) continue;
-    if (e.module >= modules.size()) modules.resize(std::size_t{e.module} + 1);
-    if (e.xnode < app.xnodes.size()) modules[e.module].name = app.xnodes[e.xnode].module;
-  }
-  for (ModuleInfo& module : modules)
-    module.sink = std::none_of(app.edges.begin(), app.edges.end(), [&](const auto& edge) {
-      const std::string& from = app.xnodes[static_cast<std::size_t>(edge.first)].module;
-      return from == module.name &&
-             app.xnodes[static_cast<std::size_t>(edge.second)].module != from;
-    });
+  for (const std::string& name : names)
+    modules.push_back(
+        {name, std::none_of(app.edges.begin(), app.edges.end(), [&](const auto& edge) {
+           const std::string& from = app.xnodes[static_cast<std::size_t>(edge.first)].module;
+           return from == name && app.xnodes[static_cast<std::size_t>(edge.second)].module != from;
+         })});
   return modules;
 }
 

@@ -129,8 +129,9 @@ struct Story {
                                      const std::vector<ModuleInfo>& modules,
                                      const trace::Recording& trace);
 
-/// Who the modules of a trace are, from its own jobs: index and XNode come together in them.
-[[nodiscard]] std::vector<ModuleInfo> modules_of(const AppSpec& app, const trace::Recording& trace);
+/// The modules of a run that goes on: which of them are sinks.
+[[nodiscard]] std::vector<ModuleInfo> modules_of(const AppSpec& app,
+                                                 const std::vector<std::string>& names);
 
 [[nodiscard]] const char* drop_reason(std::uint32_t reason);
 

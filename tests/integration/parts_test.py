@@ -136,7 +136,7 @@ class Parts(unittest.TestCase):
     def write(self, name, value):
         (self.at / name).write_text(json.dumps(value))
 
-    def solve(self, pins, x_ms=60, period_ms=100):
+    def solve(self, pins, x_ms=60, period_ms=100, **more):
         """app.json, platform.json and p.json; X of each crossing is `x_ms`."""
         hosts = HOSTS[:self.count]
         self.write("app.json", {
@@ -145,7 +145,7 @@ class Parts(unittest.TestCase):
             "xnodes": [{"name": x, "module": m, "wcet_us": {t: 5000}, **({"source": "src"} if x in ("a1", "b1", "d1") else {})}
                        for x, m, t in XNODES],
             "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]],
-            "modules": [{"name": m, "host": h} for m, h in pins.items()]})
+            "modules": [{"name": m, "host": h} for m, h in pins.items()], **more})
         self.write("platform.json", {
             "schema": "xauto.platform", "version": 1, "name": "test",
             "hosts": [{"name": h, "rate_ppm": 50} for h in hosts],
@@ -155,10 +155,10 @@ class Parts(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         return json.loads((self.at / "p.json").read_text())
 
-    def start(self, host, activations=30, limit="30s", tai_ms=None, before=(), more=()):
+    def start(self, host, activations=30, limit="30s", tai_ms=None, before=(), more=(), fault=()):
         words = [*before, XAUTO, "run", "--app", "app.json", "--platform", "platform.json", "--policy", "p.json", "--emulate",
                  "--activations", activations, "--part", host, "--meet", MEET, "--meet-limit", limit, "--out", f"{host}.json", *more,
-                 "--", TESTAPP, f"{host}.out", "emulated", 1000]
+                 "--", TESTAPP, f"{host}.out", *fault, "emulated", 1000]
         return self.spawn(host, words, {"LD_PRELOAD": str(SHIFT), "XAUTO_TEST_TAI_MS": str(tai_ms)} if tai_ms else {})
 
     def spawn(self, host, words, environment={}):
@@ -239,6 +239,7 @@ class Parts(unittest.TestCase):
         wait_for(text, lambda: text in self.said(host))
 
 
+CHAINS = [{"name": "c", "from": "src", "to": "c1"}, {"name": "d", "from": "src", "to": "d1"}]
 TWO = {"A": "front", "B": "rear", "C": "rear", "D": "front"}
 BACK = {"A": "rear", "B": "front", "C": "front", "D": "rear"}
 
@@ -325,7 +326,7 @@ class Two(Parts):
 
     def test_what_is_seen_of_it(self):
         """Threads, `top` and `monitor` meanwhile, and both traces as one timeline. Rear may give no priorities, and its clock is 20 ms behind."""
-        self.solve(TWO)
+        self.solve(TWO, chains=CHAINS)
         self.network.rule("front", delay_ms=5)
         no_rights = ("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice", "prlimit", "--rtprio=0:0")
         rear = self.start("rear", activations=60, tai_ms=-20, before=no_rights, more=("--trace-out", "rear.pftrace"))
@@ -366,6 +367,24 @@ class Two(Parts):
         self.assertRegex(self.look(reader, "monitor"), f'xauto_run_info{{[^}}]*host="{reader}"')
         statuses = {s["name"]: s for s in json.loads(self.look(reader, "monitor", "--json"))["status"]}
         self.assertGreater(int(statuses[f"xauto/testapp@{reader}: a2 from {sender} to {reader}"]["values"]["lost"]), 0)
+        self.see_its_own("front", {"A", "D"}, "d", "c", "rear")
+        self.see_its_own("rear", {"B", "C"}, "c", "d", "front")
+
+    def see_its_own(self, host, modules, chain, other, ends_on):
+        """What a part cannot know of is no zero: a chain that ends elsewhere, modules and XPUs of another host."""
+        run, = json.loads(self.look(host, "top", "--once", "--json"))["runs"]
+        self.assertEqual({m["name"] for m in run["modules"]}, modules)
+        self.assertEqual([c["name"] for c in run["chains"]], [chain])
+        self.assertEqual(run["chains_elsewhere"], [{"name": other, "host": ends_on}])
+        text = self.look(host, "top", "--once")
+        rows = [line.split(maxsplit=1) for line in text.splitlines() if line.startswith(f"  {other} ")]
+        self.assertEqual(rows, [[other, f"ends on host {ends_on}"]], text)
+        page = self.look(host, "monitor")
+        self.assertEqual(set(re.findall('chain="([^"]*)"', page)), {chain})
+        self.assertEqual(set(re.findall('module="([^"]*)"', page)), modules)
+        self.assertEqual({x.split(".")[0] for x in re.findall('xpu="([^"]*)"', page)}, {host})
+        names = {s["name"].split(": ")[1] for s in json.loads(self.look(host, "monitor", "--json"))["status"]}
+        self.assertEqual({n for n in names if n.startswith(("chain", "module"))}, {f"chain {chain}", *(f"module {m}" for m in modules)})
 
     def see_timeline(self, apart_ms):
         """Both files, one behind the other: a group per host, and arrows that go back by no more than the clocks are apart."""
@@ -384,6 +403,24 @@ class Two(Parts):
             self.assertEqual((sent.name, taken.name, sent.args["release"]), ("a2", "c1", taken.args["release"]))
             self.assertGreaterEqual(taken.begin - sent.end, -1e6 * (apart_ms + 1), (sent, taken))
             self.assertLess(taken.begin - sent.end, 1e9)
+
+    def test_the_dump_of_a_miss_has_what_came_from_other_hosts(self):
+        self.solve(TWO, chains=[{**CHAINS[0], "deadline_us": 95_000}, CHAINS[1]])
+        policy = json.loads((self.at / "p.json").read_text())
+        rear = self.start("rear", more=("--trace-out", "rear.pftrace"), fault=("hang", "C", 20, 300))
+        front = self.start("front", more=("--trace-out", "front.pftrace"))
+        rear.wait(timeout=60), front.wait(timeout=60)
+        dump = Trace((self.at / "rear.miss-1.pftrace").read_bytes())
+        self.assertTrue(dump.title.startswith("host rear: "), dump.title)
+        self.assertFalse([s.name for s in dump.slices if "INCOMPLETE" in s.name])
+        key, = next(x["key_us"] for x in policy["xnodes"] if x["name"] == "a2")
+        taken = {s.args["release"]: s for s in dump.on("run") if s.name == "c1" and "messages" in s.args}
+        self.assertIn(20, taken)
+        sent = {flow: s for s in Trace((self.at / "front.pftrace").read_bytes()).on("run") for flow in s.flows_out}
+        for release, job in taken.items():
+            self.assertEqual(job.args["messages"], f"a2 {release} of host front, key {key} us, X 60000 us")
+            across, = (flow for flow in job.flows_in if flow >> 63)
+            self.assertEqual((sent[across].name, sent[across].args["release"]), ("a2", release))
 
     def test_who_is_missing_is_named(self):
         self.solve(TWO)

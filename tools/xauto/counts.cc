@@ -105,19 +105,29 @@ Counts counts_of(const runtime::Board& board) {
   const runtime::BoardShape& shape = board.shape();
   for (std::uint32_t m = 0; m < shape.modules; ++m) {
     const runtime::ModuleLine& line = board.module(static_cast<int>(m));
+    if (line.host[0] != 0) continue;
     counts.modules.push_back({runtime::line_name(line.name), line.activations.load(),
                               line.failed.load(), line.dropped.load(), line.deaths.load(),
                               line.off.load(), line.skipped.load()});
   }
   counts.account = runtime::account_of(board);
   counts.whole = flow_of(board.flow(0), runtime::chain_of(board.flow(0)));
+  std::vector<runtime::ChainAccount> chains = std::exchange(counts.account.chains, {});
   for (std::uint32_t f = 1; f < shape.flows; ++f) {
-    counts.chains.push_back(flow_of(board.flow(f), counts.account.chains[f - 1]));
-    if (const std::uint32_t module = board.flow(f).module; module < shape.modules)
-      counts.chains.back().off = counts.modules[module].off;
+    const std::uint32_t module = board.flow(f).module;
+    const runtime::ModuleLine* end =
+        module < shape.modules ? &board.module(static_cast<int>(module)) : nullptr;
+    if (end != nullptr && end->host[0] != 0) {
+      counts.elsewhere.push_back({std::move(chains[f - 1].name), runtime::line_name(end->host)});
+      continue;
+    }
+    counts.account.chains.push_back(std::move(chains[f - 1]));
+    counts.chains.push_back(flow_of(board.flow(f), counts.account.chains.back()));
+    if (end != nullptr) counts.chains.back().off = end->off.load();
   }
   for (std::uint32_t x = 0; x < shape.xpus; ++x) {
     const runtime::XpuLine& line = board.xpu(x);
+    if (line.name[0] == 0) continue;
     counts.xpus.push_back(
         {runtime::line_name(line.name), line.suspensions.load(), line.busy_ns.load()});
   }

@@ -36,6 +36,11 @@ struct FlowCounts : runtime::ChainAccount {
   std::int64_t gone_or_back_ns = 0;  ///< since then it is gone, or there again; 0: always there
 };
 
+/// A chain that ends on another host, of which a part knows nothing.
+struct ChainElsewhere {
+  std::string name, host;
+};
+
 struct XpuCounts {
   std::string name;
   std::uint64_t suspensions = 0;
@@ -69,6 +74,7 @@ struct Counts {
   std::vector<ModuleCounts> modules;
   FlowCounts whole;  ///< empty with several rates
   std::vector<FlowCounts> chains;
+  std::vector<ChainElsewhere> elsewhere;
   runtime::Account account;  ///< its chains are those above, without when each told something last
   std::optional<ScenarioCounts> scenario;  ///< none: there is one policy
   std::vector<ScenarioCounts> scenarios;   ///< all of them
@@ -82,8 +88,14 @@ struct Counts {
   }
 };
 
-/// All counts of one moment, or nearly: each is right by itself.
+/// All counts of one moment, or nearly: each is right by itself. Of one host's part of a run what that host has.
 [[nodiscard]] Counts counts_of(const runtime::Board& board);
+
+/// The same element of the look before; T(): there was none. A run may write onto its board what it likes.
+template <class T>
+[[nodiscard]] T same(const std::vector<T>& before, std::size_t index, const std::string& name) {
+  return index < before.size() && before[index].name == name ? before[index] : T();
+}
 
 /// Of a run with tables, one of its scenarios; `why` and `asked` of the one in force.
 [[nodiscard]] ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index);

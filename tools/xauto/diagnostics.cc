@@ -292,12 +292,6 @@ Diagnostic of_crossing(const std::string& name, const CrossingCounts& now,
            {"late", std::to_string(now.late)}}};
 }
 
-/// The same element of the look before; there is none, or another one stands there.
-template <class T>
-T same(const std::vector<T>& list, std::size_t index, const std::string& name) {
-  return index < list.size() && list[index].name == name ? list[index] : T();
-}
-
 }  // namespace
 
 const char* to_string(Level level) {

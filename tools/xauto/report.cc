@@ -542,15 +542,16 @@ std::vector<ChainClaim> claims_of(const PolicyRun& run) {
   return claims;
 }
 
-/// [module] of another host than this part's.
-std::vector<bool> modules_elsewhere(const RunFlags& flags, const PolicyRun& run,
-                                    const std::vector<story::ModuleInfo>& modules) {
+/// [module] the host, if it is another one than this part's.
+std::vector<std::string> modules_elsewhere(const RunFlags& flags, const PolicyRun& run,
+                                           const std::vector<story::ModuleInfo>& modules) {
   const std::vector<int> host_of = hosts_of(flags.app, flags.spec, *run.keys);
-  std::vector<bool> elsewhere(modules.size(), false);
+  std::vector<std::string> elsewhere(modules.size());
   for (std::size_t m = 0; m < modules.size(); ++m)
     for (std::size_t x = 0; x < flags.app.xnodes.size(); ++x)
-      if (flags.app.xnodes[x].module == modules[m].name)
-        elsewhere[m] = host_of[x] != flags.spec.find_host(flags.part);
+      if (flags.app.xnodes[x].module == modules[m].name &&
+          host_of[x] != flags.spec.find_host(flags.part))
+        elsewhere[m] = flags.spec.hosts[static_cast<std::size_t>(host_of[x])].name;
   return elsewhere;
 }
 
@@ -609,7 +610,7 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
                                 const launch::Incident& incident) {
-  std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
+  std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.modules);
   XAUTO_ASSIGN(const story::Story told, story_of(flags.app, flags.spec, modules, incident.trace));
   return perfetto(flags, run, told, std::move(modules),
                   "the run goes on: whether its claims hold is not known yet");
@@ -617,7 +618,7 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
 
 std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
   const trace::Event& e = incident.event;
-  const std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
+  const std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.modules);
   if (incident.hang)
     return fmt::format("{} ran past its hang limit of {} ms in activation {}",
                        e.xnode < flags.app.xnodes.size() ? flags.app.xnodes[e.xnode].name : "a job",

@@ -61,7 +61,8 @@ Json chains_json(const Counts& now, const Counts& before) {
   Json chains = Json::array();
   for (std::size_t i = 0; i < now.chains.size(); ++i) {
     const FlowCounts& chain = now.chains[i];
-    const FlowNumbers n = numbers_of(chain, before.chains[i], now.at_ns, before.at_ns);
+    const FlowNumbers n =
+        numbers_of(chain, same(before.chains, i, chain.name), now.at_ns, before.at_ns);
     Json shown = {{"name", chain.name},
                   {"rate_hz", n.rate_hz},
                   {"p50_us", measured(n.p50_us)},
@@ -85,6 +86,13 @@ Json chains_json(const Counts& now, const Counts& before) {
   return chains;
 }
 
+Json elsewhere_json(const Counts& now) {
+  Json chains = Json::array();
+  for (const ChainElsewhere& chain : now.elsewhere)
+    chains.push_back({{"name", chain.name}, {"host", chain.host}});
+  return chains;
+}
+
 Json crossings_json(const Counts& now) {
   Json crossings = Json::array();
   for (const CrossingCounts& of : now.crossings)
@@ -99,20 +107,24 @@ Json crossings_json(const Counts& now) {
   return crossings;
 }
 
+double rate_of(const ModuleCounts& module, const Counts& before, std::size_t index, double s) {
+  const std::uint64_t then = same(before.modules, index, module.name).activations;
+  return static_cast<double>(module.activations - then) / s;
+}
+
 Json modules_json(const Counts& now, const Counts& before) {
   const double s = static_cast<double>(now.at_ns - before.at_ns) * 1e-9;
   Json modules = Json::array();
   for (std::size_t m = 0; m < now.modules.size(); ++m) {
     const ModuleCounts& module = now.modules[m];
-    modules.push_back(
-        {{"name", module.name},
-         {"rate_hz", static_cast<double>(module.activations - before.modules[m].activations) / s},
-         {"activations", module.activations},
-         {"dropped", module.dropped},
-         {"failed", module.failed},
-         {"off", module.off},
-         {"skipped", module.skipped},
-         {"deaths", module.deaths}});
+    modules.push_back({{"name", module.name},
+                       {"rate_hz", rate_of(module, before, m, s)},
+                       {"activations", module.activations},
+                       {"dropped", module.dropped},
+                       {"failed", module.failed},
+                       {"off", module.off},
+                       {"skipped", module.skipped},
+                       {"deaths", module.deaths}});
   }
   return modules;
 }
@@ -155,13 +167,16 @@ std::string chains_text(const Counts& now, const Counts& before) {
                                 "max", "age", "lost", "missed", "old");
   for (std::size_t i = 0; i < now.chains.size(); ++i) {
     const FlowCounts& chain = now.chains[i];
-    const FlowNumbers n = numbers_of(chain, before.chains[i], now.at_ns, before.at_ns);
+    const FlowNumbers n =
+        numbers_of(chain, same(before.chains, i, chain.name), now.at_ns, before.at_ns);
     out += row_of(chain.name, kNameColumns) +
            fmt::format("{:>6.1f}{:>7}{:>7}{:>7}{:>7}{:>6}{:>7}{:>4}\n", n.rate_hz,
                        ms_in_row(n.p50_us), ms_in_row(n.p99_us), ms_in_row(n.max_us),
                        chain.gone ? "off" : ms_in_row(n.age_us), chain.lost, chain.deadline_misses,
                        chain.age_misses);
   }
+  for (const ChainElsewhere& chain : now.elsewhere)
+    out += row_of(chain.name, kNameColumns) + "ends on host " + chain.host + "\n";
   return out;
 }
 
@@ -187,8 +202,7 @@ std::string modules_text(const Counts& now, const Counts& before) {
   for (std::size_t m = 0; m < now.modules.size(); ++m) {
     const ModuleCounts& module = now.modules[m];
     out += row_of(module.name, kNameColumns) +
-           fmt::format("{:>6.1f}{:>13}{:>9}{:>8}{}{}\n",
-                       static_cast<double>(module.activations - before.modules[m].activations) / s,
+           fmt::format("{:>6.1f}{:>13}{:>9}{:>8}{}{}\n", rate_of(module, before, m, s),
                        module.activations, module.dropped, module.failed,
                        module.off == 0 ? "" : fmt::format("  off: {}", module.off),
                        module.deaths == 0 ? "" : fmt::format("  died: {}", module.deaths));
@@ -304,6 +318,7 @@ Json json_of(const ShownRun& shown) {
     j["modules"] = modules_json(now, before);
     if (!shown.watched->host.empty()) {
       j["host"] = shown.watched->host;
+      j["chains_elsewhere"] = elsewhere_json(now);
       j["crossings"] = crossings_json(now);
     }
   }

@@ -225,11 +225,11 @@ TEST(Perfetto, FilesOfTwoHostsOneBehindTheOtherHaveArrowsAcross) {
     part->scene.modules[0].sink = false;
   }
   front.scene.title = "host front";
-  front.scene.elsewhere = {false, true};
+  front.scene.elsewhere = {"", "rear"};
   front.scene.rows[1].here = false;  // a GPU of the other host
   rear.scene.title = "host rear";
   rear.scene.group = 2;
-  rear.scene.elsewhere = {true, false};
+  rear.scene.elsewhere = {"front", ""};
   for (std::uint64_t seq = 0; seq < 2; ++seq) {
     const auto us = static_cast<std::int64_t>(2000 * seq);
     front.publish(us, seq);
@@ -251,6 +251,8 @@ TEST(Perfetto, FilesOfTwoHostsOneBehindTheOtherHaveArrowsAcross) {
                                "release 0 > cam.pre", "cam.pre > cam.infer", "release 1 > cam.pre",
                                "cam.pre > cam.infer", "cam.infer > big.infer",
                                "cam.infer > big.infer", "big.infer > BIG 0", "big.infer > BIG 1"}));
+  EXPECT_EQ(both.slices.at("host rear/run/gpu0").front().args.at("messages"),
+            "cam.infer 0 of host front");
   EXPECT_TRUE(both.slices.contains("host front/run/cpu0"));
   EXPECT_FALSE(both.slices.contains("host front/run/gpu0"));
   EXPECT_TRUE(both.slices.contains("host rear/run/gpu0"));
