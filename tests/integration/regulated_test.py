@@ -101,7 +101,7 @@ class Regulated(unittest.TestCase):
         wait_for("its place", lambda: self.coordinators() == [])
 
     def test_who_rings_all_the_time_is_not_heard_all_the_time(self):
-        attacker = self.begin("rings", 2)
+        attacker = self.begin("rings", 4)
         pid = wait_for("a coordinator", lambda: (self.coordinators() or [None])[0])
         time.sleep(0.5)
 
