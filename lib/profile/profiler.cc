@@ -44,6 +44,7 @@
 #include "profile/audit.h"
 #include "profile/below.h"
 #include "profile/corun.h"
+#include "profile/lateness.h"
 #include "profile/machine_readings.h"
 #include "profile/profile_input.h"
 
@@ -806,6 +807,7 @@ class Run {
 /// A thread like the one that releases (its priority, its timers), beside all that is measured: how late does it wake?
 class WakeUps {
  public:
+  explicit WakeUps(std::int64_t shortest_us) : late_(shortest_us) {}
   [[nodiscard]] Status start() {
     XAUTO_ASSIGN(thread_, start_thread([this] {
                    rt::set_timer_slack_1ns();
@@ -815,16 +817,23 @@ class WakeUps {
                      // From now on each time: one that comes late must not make the next ones late.
                      const std::int64_t due_ns = now_ns() + kEveryNs;
                      sleep_until_ns(due_ns);
-                     latest_ns_ = std::max(latest_ns_, now_ns() - due_ns);
+                     late_.add(now_ns() - due_ns);
                    }
                  }));
     return {};
   }
-  /// Twice the most, once there were kJitterWakeUps.
+  /// Once there were kJitterWakeUps. Says what is not in it.
   [[nodiscard]] std::int64_t jitter_us() {
     enough_ = true;
     thread_.join();
-    return 2 * latest_ns_ / 1000 + 1;
+    if (late_.stalls() > 0)
+      log::warn(
+          "this machine stood still for up to {} ms, at {} of {} wake-ups: jitter_us ({} us) does "
+          "not cover that. A run "
+          "says how late its sources were; profile again where nothing else runs",
+          late_.longest_stall_ns() / 1'000'000, late_.stalls(), late_.wake_ups(),
+          late_.jitter_us());
+    return late_.jitter_us();
   }
   ~WakeUps() {
     stop_ = true;
@@ -834,9 +843,17 @@ class WakeUps {
  private:
   static constexpr std::int64_t kEveryNs = 5'000'000;
   std::atomic<bool> stop_{false}, enough_{false};
-  std::int64_t latest_ns_ = 0;
+  Lateness late_;
   std::thread thread_;
 };
+
+/// Of what is asked for at a rate.
+std::int64_t shortest_period_us(const Profile& skeleton) {
+  std::int64_t shortest = kMaxPeriodUs;
+  for (const SourceSpec& source : skeleton.sources)
+    if (!source.pushed) shortest = std::min(shortest, source.period.floor_us());
+  return shortest;
+}
 
 }  // namespace
 
@@ -856,7 +873,7 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   auto shared = std::make_shared<Shared>(app, session, std::move(graph));
   shared->run.set_parameters(std::move(values));
   std::future<Status> ended = shared->ended.get_future();
-  WakeUps wake_ups;
+  WakeUps wake_ups(shortest_period_us(skeleton_of(shared->graph)));
   XAUTO_TRY(wake_ups.start());
   // A thread of its own, so that the caller's priority and affinity stay as they are.
   XAUTO_ASSIGN(std::thread thread, start_thread([shared] {
