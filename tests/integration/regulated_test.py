@@ -11,7 +11,7 @@ import tempfile
 import time
 import unittest
 
-from common import BIN, SOURCE, TESTAPP, children_of, system_service, wait_for, xauto
+from common import BIN, SOURCE, TESTAPP, children_of, system_service, top, wait_for, xauto
 
 NOBODY, OTHER = 65534, 65533
 CORE = min(os.sched_getaffinity(0))
@@ -218,6 +218,7 @@ class Regulated(unittest.TestCase):
         self.assertEqual(attacker.stdout.readline(), "there\n")
         ours = self.run_app("ours", 40_000, 3_000)
         self.assertEqual(self.ends(attacker), {"ended": True, "lowered": True})
+        wait_for("releases", lambda: top(ours).get("releases", 0) > 2, ours)
         self.assertEqual(self.report(ours, "ours")["lost_activations"], 0)
 
 
