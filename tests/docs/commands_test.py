@@ -167,12 +167,24 @@ def lost_only(result):
         for e in errors)
 
 
+def of_an_outlier(result):
+    """The machine stood still while a stage was timed. `solve` says so, and what to do: measure again."""
+    return result.returncode == 1 and "Are they outliers of a profile? Measure again" in result.stdout
+
+
 def wrong_in(text, checkout):
     """The first thing that is wrong, or None: what follows would only be its consequence."""
+    profile = None
     for number, command, shown in blocks(text):
         if OF_SHARED.search(command) and not SHARED.exists():
             continue
+        if command.startswith("xauto profile "):
+            profile = command
         result = checkout.run(command)
+        for _ in range(4):
+            if profile and of_an_outlier(result):
+                checkout.run(profile)
+                result = checkout.run(command)
         if result.returncode != 0 and not lost_only(result):
             return f"line {number}: $ {command}\n  ends with status {result.returncode}: {result.stderr[-2000:]}"
         if problem := difference(shown, result.stdout.splitlines()):
