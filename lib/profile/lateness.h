@@ -10,8 +10,8 @@ namespace xauto::runtime {
 /// Not thread-safe. Times in ns.
 class Lateness {
  public:
-  /// `shortest_us`: of the periods of what is released. Later than half of it is a stall: twice that as jitter is a
-  /// period, with which no plan could live.
+  /// `shortest_us`: of the periods of what is released. Chosen, not proven: later than half of it is a stall. As jitter it
+  /// would be above that period, and in each claim, for what happened once.
   explicit Lateness(std::int64_t shortest_us) : most_ns_(shortest_us * 1000 / 2) {}
 
   void add(std::int64_t late_ns) {

@@ -828,10 +828,10 @@ class WakeUps {
     thread_.join();
     if (late_.stalls() > 0)
       log::warn(
-          "this machine stood still for up to {} ms, at {} of {} wake-ups: jitter_us ({} us) does "
-          "not cover that. A run "
-          "says how late its sources were; profile again where nothing else runs",
-          late_.longest_stall_ns() / 1'000'000, late_.stalls(), late_.wake_ups(),
+          "this machine stood still for up to {:.1f} ms, at {} of {} wake-ups: jitter_us ({} us) "
+          "does not cover that. A run says how late its sources were; profile again where nothing "
+          "else runs",
+          static_cast<double>(late_.longest_stall_ns()) * 1e-6, late_.stalls(), late_.wake_ups(),
           late_.jitter_us());
     return late_.jitter_us();
   }

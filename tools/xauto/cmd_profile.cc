@@ -264,8 +264,7 @@ std::string table(const Profile& measured, const Platform& platform, WcetFrom fr
     if (source.jitter_us > 0) {
       out += fmt::format(
           "  jitter_us: {}, twice the latest wake-up of a thread like the one that releases, "
-          "beside the measuring; no "
-          "bound\n",
+          "beside the measuring, without stalls; no bound\n",
           source.jitter_us);
       break;
     }
