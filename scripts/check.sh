@@ -99,13 +99,14 @@ areas() {
 
 # What failed, one after the other, when nothing else of the check runs any more: this counts.
 once_more() {
-  local dir names reports='' again parallel=1
+  local dir names bad reports='' again parallel=1
   while read -r dir names; do
     note "once more, alone: ${names//|/, }"
     ctest_counted "$dir" -R "^(${names//./\\.})\$" --timeout 300
-    failed=$((failed + $(grep -c . <<<"${again//|/$'\n'}")))
-    sed "/^$/d; s|$| ($dir)|" <<<"${again//|/$'\n'}" >>"$failures"
-    comm -23 <(sort <<<"${names//|/$'\n'}") <(sort <<<"${again//|/$'\n'}") |
+    mapfile -t bad < <(tr '|' '\n' <<<"$again" | sed '/^$/d' | sort)
+    failed=$((failed + ${#bad[@]}))
+    [ ${#bad[@]} -eq 0 ] || printf "%s ($dir)\n" "${bad[@]}" >>"$failures"
+    tr '|' '\n' <<<"$names" | sort | comm -23 - <(printf '%s\n' "${bad[@]}") |
       sed 's/^/check: /; s/$/ failed, and passed when it was run again/'
   done <"$late"
 }

@@ -18,7 +18,7 @@ if [ "${1:-}" != --inside ]; then
   fi
   mkdir -p "$build/package"
   log=$build/package/check.log
-  # 20 minutes is for a machine with a slow mirror; on this project's 2 cores it takes a minute and a half.
+  # 20 minutes is for a machine with a slow mirror; on 2 cores, beside the integration scripts, it took 7 and 11.
   timeout -k 10 1200 unshare --mount --propagation private --pid --fork --kill-child --mount-proc \
     "$0" --inside "$build" </dev/null 2>&1 | tee "$log"
   total "$log" "${PIPESTATUS[0]}"

@@ -2,8 +2,8 @@
 """Every command in README.md, docs/tutorial.md and docs/nets.md is run, in order, and must print what the page shows.
 
 A ```console block holds `$ command` lines, each followed by what it prints to stdout. Compared up to numbers (each is
-a #), instances of XPUs, whether a chain is `optimal`, a worst case starred and a job kept waiting before it began or
-after it (times decide), runs of blanks and rulers; `...` on a line of its own stands for any lines, `…` inside a line
+a #), instances of XPUs, whether a chain is `optimal`, a worst case starred, a job kept waiting before it began or after
+it, what is tightest and what took most of a way (times decide), runs of blanks and rulers; `...` on a line of its own stands for any lines, `…` inside a line
 for any text. Every command must end with status 0. Where a number says how long something took, no page can be wrong
 about it.
 
@@ -32,8 +32,10 @@ def normal(line):
     line = re.sub(r"\b(?:cpu|gpu|dla)(?=\d)", "xpu", line)
     line = re.sub(r"% +optimal$", "%", line)
     line = re.sub(r"\*(?=\d)", "", line)
+    line = re.sub(r"\btightest \S+", "tightest", line)
     line = line.replace("off the XPU for ", "waited ").replace(" ms, preempted by ", " ms for ")
     line = re.sub(r"\s+", " ", NUMBER.sub(" # ", line)).strip()
+    line = re.sub(r"^(On its way, # ms: )(.*), (# running)", r"\1\3, \2", line)  # else by size
     return re.sub(r"(?<!# )# - #", "# # #", line, count=1)  # no p99 of fewer than 100 results
 
 

@@ -245,9 +245,7 @@ class Loss(ByTheMachine, unittest.TestCase):
             self.assertEqual(module["failed"], 0, name)
             self.assertEqual(module["activations"] + module["dropped"] + module.get("off", 0), len(ran) + lost, name)
             self.assertLessEqual(abs(module.get("off", 0) - off[name]), lost, name)
-        claims = report["claims"]
-        waited = [one for one in claims["time_taken"] if "in a run queue" in one["what"] and one["us"] > 1000]
-        self.assertFalse(claims["exceeded"] and not claims["broken"] and not waited, claims)
+        self.assertFalse(report["claims"]["exceeded"] and not report["claims"]["broken"], report["claims"])
 
     def test_each_release_runs_what_its_table_has(self):
         self.judge(self.switch_about())

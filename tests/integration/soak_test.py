@@ -31,8 +31,8 @@ def measure(pid):
                          if line.startswith("RssAnon"))
         shared = sum("memfd:" in line for line in (folder / "maps").read_text().splitlines())
         of = [os.readlink(folder / "fd" / fd) for fd in os.listdir(folder / "fd")]
-        threads = len(os.listdir(folder / "task"))
-        return anonymous, sum(not name.endswith("/schedstat") for name in of) + threads, shared
+        once = {name for name in of if name.endswith("/schedstat")}
+        return anonymous, len(of) - len(once) + len(os.listdir(folder / "task")), shared
     except (OSError, StopIteration):
         return None  # it has ended
 

@@ -169,8 +169,10 @@ class Story(unittest.TestCase):
             self.assertEqual(number, {(j[0], self.told.jobs[j][0].args["release"]) for j in wanted})
             self.assertEqual({(s["source"], s["release"]) for s in story["sensors"]}, sensors)
             source = next(c["from"] for c in self.app["chains"] if c["name"] == name)
-            # Its first job knows it, or a newer one: what was behind may come through at once.
-            self.assertTrue(any(s == source and n >= story["release"] for s, n in sensors), (story["release"], sensors))
+            # The job knows it, or a newer one, with which it came through: then both have the same end.
+            known = min(n for s, n in sensors if s == source and n >= story["release"])
+            ends = {self.told.releases[source, n] + took[n] for n in (known, story["release"])}
+            self.assertEqual(len(ends), 1, (story["release"], sensors))
 
     def nominal(self, xnode, n):
         """Of activation n of the XNode's component. No source of this app has an offset."""

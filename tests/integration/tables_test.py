@@ -260,6 +260,8 @@ class Tables(unittest.TestCase):
         wait_for("the GPU", lambda: on["gpu"] & set(said()), self.tool)
         wait_for("the DLA", lambda: on["dla"] & set(said()), self.tool)
         third = 6_300_000 // 66_000
+        wait_for("the third fall", lambda: self.released() > third - 5, self.tool)
+        told = len(said())
         wait_for("the GPU again, and releases that get a scenario", lambda: self.released() > third + 15, self.tool)
         report = self.end()
         broken = str(report["claims"]["broken"])
@@ -270,7 +272,10 @@ class Tables(unittest.TestCase):
         before = [s for s in changes if s["release"] < third]
         self.assertGreaterEqual(sum(s["why"] == "outside" for s in before), 2, changes)
         if before[-1]["why"] != "outside":
+            self.assertGreaterEqual(sum(s["why"] == "outside" for s in changes), 3, changes)
             self.assertIn("outside", [s["why"] for s in changes if s["release"] >= third], changes)
+            if told < 5:
+                self.assertTrue(on["gpu"] & set(said()[told:]), said())
 
     def test_what_cannot_be_is_refused(self):
         run = ("run", "--app", self.folder / "app.json", "--platform", "small", "--emulate", "--policy", self.folder / "tables.json")
