@@ -245,7 +245,11 @@ class Loss(ByTheMachine, unittest.TestCase):
             self.assertEqual(module["failed"], 0, name)
             self.assertEqual(module["activations"] + module["dropped"] + module.get("off", 0), len(ran) + lost, name)
             self.assertLessEqual(abs(module.get("off", 0) - off[name]), lost, name)
-        self.assertFalse(report["claims"]["exceeded"] and not report["claims"]["broken"], report["claims"])
+        claims = report["claims"]
+        if claims["exceeded"] and not claims["broken"]:  # our fault, but where what others took is as long (docs/claims.md)
+            over = [chain["exceeded_by"] for chain in report["chains"] if chain["exceeded"]]
+            longest = max(one["latency_us"] - one["worst_case_us"] for one in over)
+            self.assertGreaterEqual(sum(one["us"] for one in claims["time_taken"]), longest, (claims, over))
 
     def test_each_release_runs_what_its_table_has(self):
         self.judge(self.switch_about())
