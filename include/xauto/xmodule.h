@@ -166,7 +166,7 @@ class XModule {
   /// Up to `activations` at once, 1 to kMostInFlight: the next one starts while earlier ones are
   /// under way. Each has a State of its own, and an `init` of each XNode on the XPU that it runs on.
   /// So nothing in State may be carried from one activation to the next. Each XNode takes activations
-  /// in order, and results leave in order. A plan of version 2 may allow fewer (app.json's
+  /// in order, and results leave in order. A plan may allow fewer (app.json's
   /// `max_in_flight`).
   XModule& in_flight(int activations) {
     detail::set_in_flight(*spec_, activations);

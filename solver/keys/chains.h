@@ -21,6 +21,15 @@ namespace xauto::solver::keys {
 /// The least real distance of two releases that are `length` of their clock apart, which may be below 0.
 [[nodiscard]] Tick least_distance(Tick length, std::int64_t ppm);
 
+/// Whether it is among those of which the largest worst case counts.
+[[nodiscard]] inline bool is_counted(const Problem& problem, const Chain& chain) {
+  return !problem.deadlines || chain.deadline != kNoTick;
+}
+/// Whether anybody asks for its worst case: it counts there, or in the sum.
+[[nodiscard]] inline bool is_asked_for(const Problem& problem, const Chain& chain) {
+  return is_counted(problem, chain) || chain.weight > 0;
+}
+
 /// The worst of its ways, in ticks. d and e of `w` are read. `urgent`: of a release that the
 /// chain's source marks so; the source may.
 [[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Windows& w,

@@ -36,11 +36,6 @@ constexpr double kLeastMissing = 0.01;
 /// Added for a backlog that grows, at most, as a part of kEndless.
 constexpr double kGrowthShare = 0.25;
 
-/// Whether it is among those of which the largest counts.
-bool is_counted(const Problem& p, const Chain& chain) {
-  return !p.deadlines || chain.deadline != kNoTick;
-}
-
 /// Releases that a way is followed from.
 std::size_t steps_of(const Problem& p, const Path& path) {
   std::size_t steps = 1;

@@ -149,6 +149,7 @@ class Dropping {
 
   [[nodiscard]] bool is_claimed(const std::vector<char>& sooner) const {
     for (std::size_t c = 0; c < p_.chains.size(); ++c) {
+      if (!is_asked_for(p_, p_.chains[c])) continue;
       bool reads = false;
       for (std::size_t i = 0; i < sooner.size(); ++i)
         reads = reads || (sooner[i] != 0 && reads_[c][i] != 0);

@@ -3,7 +3,7 @@
 // its planned start; that buys a worst case here and there, and costs every job its average latency.
 //
 // Keys stay as they are. A hold goes if without it every XPU still has its certificate, and no chain's claim
-// grows. Then those that are left are shortened.
+// grows that anybody asks for. Then those that are left are shortened.
 #pragma once
 
 #include <vector>

@@ -333,6 +333,34 @@ class Periodic(unittest.TestCase):
         self.assertRegex(self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--time-limit", "0s").stdout,
                          r"(?m)^  \d+ more were not tried in 0 s \(--time-limit\)\.$")
 
+    def test_explain_says_what_holds_are_for(self):
+        """What it names is what `check` derives from the same policy without that hold."""
+        self.solve()
+        flags = ("--app", "app.json", "--policy", "policy.json")
+        told = json.loads(self.run_tool("explain", *flags, "--json", "--time-limit", "20s").stdout)
+        policy = self.policy()
+        held = {x["name"]: max(x["hold_us"]) for x in policy["xnodes"] if any(x.get("hold_us", []))}
+        self.assertGreater(len(held), 0, policy)
+        self.assertEqual({hold["xnode"]: hold["longest_us"] for hold in told["holds"]}, held)
+        self.assertEqual(told["holds_untried"], 0)
+        for hold in told["holds"]:
+            self.assertTrue(hold["worst_cases"] or hold.get("keys_on"), hold)
+            self.assertTrue(all(one["without_us"] < one["with_us"] for one in hold["medians"]), hold)
+            without = json.loads(json.dumps(policy))
+            for xnode in without["xnodes"]:
+                for key in ("start_us", "finish_us") + (("hold_us",) if xnode["name"] == hold["xnode"] else ()):
+                    xnode.pop(key, None)
+            self.write("without.json", without)
+            refused = self.run_tool("check", "--app", "app.json", "--policy", "without.json", "--json", status=1)
+            derived = {chain["name"]: chain["worst_case_us"] for chain in json.loads(refused.stdout)["chains"]}
+            for one in hold["worst_cases"]:
+                self.assertEqual(derived[one["name"]], one["without_us"], hold)
+        words = " ".join(self.run_tool("explain", *flags).stdout.split())
+        for name in held:
+            self.assertIn(f" {name} up to ", words)
+        hurried = json.loads(self.run_tool("explain", *flags, "--json", "--time-limit", "0s").stdout)
+        self.assertEqual((hurried["holds"], hurried["holds_untried"]), ([], len(held)))
+
     def test_explain_draws_the_windows(self):
         self.solve()
         self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--windows", "windows.svg")

@@ -23,6 +23,7 @@
 #include "solver/keys/one_release.h"
 #include "solver/keys/what_if.h"
 
+#include "xauto/held.h"
 #include "xauto/outputs.h"
 #include "xauto/rare_wcets.h"
 #include "xauto/remedies.h"
@@ -339,34 +340,53 @@ Json cases_of(const AppSpec& app, const std::vector<keys::WhatIf>& ifs) {
   return list;
 }
 
+constexpr double kWorthTelling = 0.01;  ///< of a claim
+constexpr std::size_t kShownChanges = 3;
+
 std::string what_it_brings(const AppSpec& app, const Policy& policy, const keys::WhatIf& what,
                            double limit_s) {
   if (what.outcome == keys::Outcome::kUnsustainable) return "no policy keeps up: " + what.overload;
   if (what.outcome != keys::Outcome::kPolicy)
     return fmt::format("unknown: no policy found in {:.2f} s", limit_s);
   std::string changes;
-  for (std::size_t c = 0; c < what.worst_case_us.size(); ++c) {
-    if (!policy.certified) {
+  if (!policy.certified) {
+    for (std::size_t c = 0; c < what.worst_case_us.size(); ++c)
       changes += fmt::format("{}{} {}", c == 0 ? "certified: " : ", ", app.chains[c].name,
                              exact_ms(what.worst_case_us[c]));
-      continue;
-    }
-    const std::int64_t more = what.worst_case_us[c] - policy.chains[c].worst_case_us;
-    if (more != 0)
-      changes += fmt::format("{}{} {:+.3f} ms", changes.empty() ? "" : ", ", app.chains[c].name,
-                             static_cast<double>(more) / 1000);
+    return changes;
   }
-  return changes.empty() ? "no chain changes" : changes;
+  std::vector<std::pair<double, std::size_t>> parts;  // of the claim, chain
+  for (std::size_t c = 0; c < what.worst_case_us.size(); ++c) {
+    const auto was = static_cast<double>(policy.chains[c].worst_case_us);
+    const double part =
+        std::abs(static_cast<double>(what.worst_case_us[c]) - was) / std::max(1.0, was);
+    if (part >= kWorthTelling) parts.emplace_back(-part, c);
+  }
+  std::ranges::sort(parts);
+  for (std::size_t k = 0; k < std::min(parts.size(), kShownChanges); ++k) {
+    const std::size_t c = parts[k].second;
+    changes += fmt::format(
+        "{}{} {:+.2f} ms", k == 0 ? "" : ", ", app.chains[c].name,
+        static_cast<double>(what.worst_case_us[c] - policy.chains[c].worst_case_us) / 1000);
+  }
+  if (parts.size() > kShownChanges)
+    changes += fmt::format(", {} more", parts.size() - kShownChanges);
+  return changes;
 }
 
-/// A line per case: the chains that change, and by how much. Each was searched for `limit_s`.
+/// A line per case: the chains that change most. Each was searched for `limit_s`. What changes next to nothing is one line.
 std::string what_if_table(const AppSpec& app, const Policy& policy,
                           const std::vector<keys::WhatIf>& ifs, double limit_s) {
-  std::string out;
+  std::string out, none;
   if (!ifs.empty()) out += "\n  What if ... (by the solver alone)\n";
   for (const keys::WhatIf& what : ifs) {
-    out += wrapped(row_of(what.change, 34) + what_it_brings(app, policy, what, limit_s), 36) + "\n";
+    const std::string brings = what_it_brings(app, policy, what, limit_s);
+    if (brings.empty())
+      none += (none.empty() ? "" : ", ") + what.change;
+    else
+      out += wrapped(row_of(what.change, 34) + brings, 36) + "\n";
   }
+  if (!none.empty()) out += wrapped("  no chain by 1 %: " + none, 4) + "\n";
   return out;
 }
 
@@ -837,7 +857,7 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
                      scope(apps, !asked.beside.demands.empty()))
               << crossings_text(app, platform, answer.policy)
               << (asked.beside.nobody() ? "" : "  Proven " + name_of_all(asked.beside) + ".\n")
-              << counted_loads(app, platform, answer.policy)
+              << counted_loads(app, platform, answer.policy) << held_line(app, answer.policy)
               << not_measured(app, platform, answer.policy, *checked) << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs, assumed_s(asked));
@@ -938,6 +958,8 @@ std::string way_text(const AppSpec& app, const Platform& platform, const Policy&
   return text;
 }
 
+constexpr double kPartOfHolds = 0.25;  ///< of the time for moves and holds
+
 Result<int> explain_policy(const AppSpec& app, const Platform& platform, const std::string& path,
                            const std::string& picture, double moves_s, const Options& options) {
   Outputs outputs;
@@ -968,8 +990,9 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
     if (const int i = app.find(proof.xnode);
         i >= 0 && std::find(to_move.begin(), to_move.end(), i) == to_move.end())
       to_move.push_back(i);
+  const Holds holds = holds_of(app, platform, policy, report, moves_s * kPartOfHolds);
   keys::Options asked;
-  asked.time_limit_s = moves_s;
+  asked.time_limit_s = moves_s * (1 - kPartOfHolds);
   XAUTO_ASSIGN(const keys::Moves moved, keys::moves(app, platform, policy, to_move, asked));
   const auto names = [&](std::size_t c) { return names_on_path(app, ways[c], c); };
   if (options.json) {
@@ -978,6 +1001,8 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
       root["chains"].push_back({{"name", report.chains[c].name},
                                 {"worst_case_us", report.chains[c].derived_us},
                                 {"path", names(c)}});
+    root["holds"] = holds_json(app, holds);
+    root["holds_untried"] = holds.untried;
     root["moves"] = cases_of(app, moved.tried);
     root["moves_untried"] = moved.untried;
     std::cout << root.dump(2) << "\n";
@@ -989,7 +1014,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
                                        way_text(app, platform, policy, ways[c], c)),
                            4)
                 << "\n";
-    std::cout << crossings_text(app, platform, policy);
+    std::cout << crossings_text(app, platform, policy) << holds_text(app, policy, holds);
     if (!report.chains.empty())
       std::cout << fmt::format(
                        "\n  The worst off is {}. Its XNodes elsewhere, and those of the tightest "

@@ -50,7 +50,7 @@ std::optional<Case> solved(int kind, std::uint64_t seed) {
   return c;
 }
 
-/// Whether the policy is certified, and no chain takes longer than `of` claims.
+/// Whether the policy is certified, and no chain takes longer than `of` claims, of those that count.
 bool keeps(const Problem& p, const Policy& policy, const Policy& of) {
   std::vector<int> xpu;
   for (const Placement& placed : policy.placements) xpu.push_back(placed.xpu);
@@ -58,6 +58,7 @@ bool keeps(const Problem& p, const Policy& policy, const Policy& of) {
   if (!certify(p, xpu, w)) return false;
   for (std::size_t k = 0; k < p.chains.size(); ++k) {
     const ChainClaim& claim = of.chains[k];
+    if (p.deadlines && p.chains[k].deadline == kNoTick && p.chains[k].weight == 0) continue;
     if (worst_case(p, p.chains[k], w) > claim.worst_case_us * p.scale) return false;
     if (claim.urgent_worst_case_us &&
         worst_case(p, p.chains[k], w, true) > *claim.urgent_worst_case_us * p.scale)
@@ -98,6 +99,41 @@ TEST(KeysHolds, EachIsNeededForAClaimOrTheCertificate) {
   EXPECT_GT(holds, 50);
   // The check's charges are other ones, here and there smaller.
   EXPECT_LT(10 * by_check_alone, holds);
+}
+
+/// What nobody asks for holds nobody: it has no deadline, others have, and it does not count in the sum. Its claim is true.
+TEST(KeysHolds, NoneIsForAChainThatNobodyAsksFor) {
+  int asked = 0, unasked = 0;
+  for (std::uint64_t seed = 1; seed <= 120; ++seed) {
+    solver::test::Dice dice(seed);
+    RatedShape shape;
+    shape.max_components = 3;
+    AppSpec app = random_rated_app(dice, shape);
+    const Platform platform = random_rated_platform(dice);
+    for (ChainSpec& chain : app.chains) chain.deadline_us.reset();
+    app.chains.front().deadline_us = kMaxTimeUs / 1000;
+    for (const std::int64_t weight : {1, 0}) {
+      for (std::size_t c = 1; c < app.chains.size(); ++c) app.chains[c].weight = weight;
+      Options options = brief(300);
+      options.seed = seed;
+      const auto answer = solve(app, platform, options);
+      ASSERT_TRUE(answer) << seed;
+      if (answer->outcome != Outcome::kPolicy) break;
+      EXPECT_TRUE(check(app, platform, answer->policy)) << seed;
+      const Problem p = *Problem::create(app, platform, {}, answer->policy.order);
+      for (std::size_t i = 0; i < answer->policy.placements.size(); ++i) {
+        Policy without = answer->policy;
+        std::vector<std::int64_t>& held = without.placements[i].hold_us;
+        const auto holds = std::ranges::count_if(held, [](std::int64_t us) { return us > 0; });
+        (weight == 0 ? unasked : asked) += static_cast<int>(holds);
+        if (holds == 0) continue;
+        held.clear();
+        EXPECT_FALSE(keeps(p, without, answer->policy)) << seed << ": XNode " << i;
+      }
+    }
+  }
+  EXPECT_GT(asked, 20);
+  EXPECT_LT(unasked, asked);
 }
 
 /// Held at their planned starts, as the search has them, and as it leaves them.
