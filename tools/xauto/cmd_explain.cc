@@ -59,7 +59,7 @@ Result<std::vector<story::ChainStory>> stories_of(const ExplainFlags& flags,
                                                   const story::ReadTrace& trace) {
   if (trace.reactions.empty())
     return fail(ErrorCode::kInvalid, "tells of no chain", flags.trace,
-                "an older version wrote it: run again with --trace-out");
+                "take a file of `xauto run --trace-out` or `xauto compare`");
   std::vector<story::ChainStory> stories;
   std::string known;
   for (const story::TraceReactions& chain : trace.reactions) {

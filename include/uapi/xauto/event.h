@@ -2,20 +2,13 @@
 /*
  * The trace vocabulary: one fixed record for every layer (runtime, coordinator, kernel, BPF), so
  * that all of them tell one story. Rules: append kinds, never renumber.
- *
- * History: 1 - first version.
- *          2 - TAKE, MISS and HANG; what was padding is the stamp of the ring's slot.
- *          3 - SAMPLE; PUBLISH names its source; in an app of version 2 sources have app.json's
- *              numbers, and TAKE is written for one rate, too.
- *          4 - HELD_UP.
- *          5 - SWITCH.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 6
+#define XAUTO_EVENT_VERSION 1
 
 /* What happened. In the order in which one job meets them. */
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
