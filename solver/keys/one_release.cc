@@ -10,6 +10,7 @@
 
 #include "solver/bounds.h"
 #include "solver/keys/sequence.h"
+#include "solver/search.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -156,6 +157,23 @@ Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
                           const SolveOptions& options) {
   XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(app, platform, options));
   return Baseline{by_priorities(plan, app), plan.latency_us};
+}
+
+Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform,
+                                SolveOptions options) {
+  options.priorities_only = true;
+  XAUTO_ASSIGN(PriorityPlan plan, solver::solve(app, platform, options));
+  std::vector<std::int64_t> priority;
+  for (const PriorityPlacement& p : plan.placements) priority.push_back(p.priority);
+  std::vector<int> sequence = solver::sequence_of(priority);
+  const std::vector<std::int64_t> periods = app.periods();
+  const auto period = [&](int i) { return periods[at(i)] > 0 ? periods[at(i)] : kMaxPeriodUs + 1; };
+  std::stable_sort(sequence.begin(), sequence.end(),
+                   [&](int a, int b) { return period(a) < period(b); });
+  auto next = static_cast<std::int64_t>(sequence.size());
+  for (const int i : sequence) plan.placements[at(i)].priority = next--;
+  plan.order.clear();
+  return by_priorities(plan, app);
 }
 
 Tick quick_release_bound(const AppSpec& app, const Platform& platform, const Problem& p, int to,

@@ -33,6 +33,11 @@ struct Baseline {
 [[nodiscard]] Result<Baseline> baseline(const AppSpec& app, const Platform& platform,
                                         const SolveOptions& options);
 
+/// The plan of one release, with priorities by period, the shortest first (rate-monotonic): an XNode counts by the slowest
+/// source that it waits for. Those of one period stay as they are among themselves. It claims nothing.
+[[nodiscard]] Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform,
+                                              SolveOptions options);
+
 /// As one_release_bound, by what takes microseconds.
 [[nodiscard]] Tick quick_release_bound(const AppSpec& app, const Platform& platform,
                                        const Problem& p, int to, const Objectives& wishes,

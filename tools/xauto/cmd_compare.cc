@@ -15,7 +15,6 @@
 #include "solver/keys/check.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/solve.h"
-#include "solver/search.h"
 #include "solver/solve.h"
 
 #include "xauto/command.h"
@@ -49,36 +48,6 @@ std::string name_of(const std::string& id) {
   return id;
 }
 
-/// The solver's plan of one release, with priorities by period, the shortest first (rate-monotonic): an
-/// XNode counts by the slowest source that it waits for. Those of one period stay as they are among
-/// themselves. It claims nothing.
-Result<Policy> fixed_priorities(const AppSpec& app, const Platform& platform, double time_limit_s) {
-  solver::SolveOptions options;
-  options.time_limit_s = time_limit_s;
-  options.threads = 2;
-  options.priorities_only = true;
-  XAUTO_ASSIGN(const PriorityPlan plan, solver::solve(app, platform, options));
-  XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
-  solver::Decision decision;
-  for (const PriorityPlacement& p : plan.placements) {
-    decision.xpu.push_back(p.xpu);
-    decision.priority.push_back(p.priority);
-  }
-  std::vector<int> sequence = solver::sequence_of(decision.priority);
-  const std::vector<std::int64_t> periods = app.periods();
-  const auto period = [&](int i) {
-    const std::int64_t known = periods[static_cast<std::size_t>(i)];
-    return known > 0 ? known : kMaxPeriodUs + 1;
-  };
-  std::stable_sort(sequence.begin(), sequence.end(),
-                   [&](int a, int b) { return period(a) < period(b); });
-  auto priority = static_cast<std::int64_t>(sequence.size());
-  for (const int i : sequence) decision.priority[static_cast<std::size_t>(i)] = priority--;
-  PriorityPlan policy = solver::make_policy(app, platform, problem, decision, plan.method);
-  policy.solve_us = plan.solve_us;
-  return by_priorities(policy, app);
-}
-
 /// Every XNode on the type that is fastest for it, whatever the others do; among equals the platform's first. How they
 /// share its instances, and in which order, is left to the solver: the paper's XAuto "w/o Assign".
 std::vector<std::pair<std::string, std::string>> fastest_types(const AppSpec& app,
@@ -98,7 +67,12 @@ Result<Policy> solved(const CompareFlags& flags, const std::string& id) {
   if (!flags.spec.hosts.empty())
     return fail(ErrorCode::kInvalid, "it has several hosts, and others' policies know one computer",
                 "platform '" + flags.spec.name + "'", "compare on the platform of one host");
-  if (id == "fixed") return fixed_priorities(flags.app, flags.spec, flags.time_limit_s);
+  if (id == "fixed") {
+    solver::SolveOptions plan;
+    plan.time_limit_s = flags.time_limit_s;
+    plan.threads = 2;
+    return solver::keys::fixed_priorities(flags.app, flags.spec, plan);
+  }
   if (id == "heft") {
     solver::SolveOptions plan;
     plan.method = id;
