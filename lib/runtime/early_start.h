@@ -33,21 +33,11 @@ namespace xauto::runtime {
 
 /// Whom the jobs of an XNode look at.
 struct EarlyRule {
-  struct Sample {
-    int xnode = -1;
-    bool one_clock = false;  ///< as the reader's
-  };
   /// The others on its XPU; none where taking it from another costs nothing.
   std::vector<int> mates;
-  std::vector<Sample> samples;  ///< what it reads
-  std::vector<int> apart;       ///< those on other XPUs that the plan keeps it apart from
-  bool never = false;           ///< it waits to the end
-};
-
-/// Of the first activation of an XNode that has not ended, at the earliest.
-struct FirstOpen {
-  std::int64_t release_ns = 0;  ///< nominal
-  coord::Key key = 0;
+  /// What it reads, and those on other XPUs that the plan keeps it apart from.
+  std::vector<int> others;
+  bool never = false;  ///< it waits to the end
 };
 
 /// A job that waits.
@@ -56,19 +46,15 @@ struct PlannedJob {
   std::int64_t start_ns = 0;
 };
 
-/// Whether it may start before its planned start. Pure; `first_open(xnode)` is a FirstOpen.
+/// Whether it may start before its planned start. Pure; `first_open(xnode)`: the key of the first activation of it that
+/// has not ended, at the earliest.
 template <class Of>
 [[nodiscard]] bool may_start_early(const EarlyRule& rule, const PlannedJob& job, Of first_open) {
   if (rule.never) return false;
   for (const int x : rule.mates)
-    if (first_open(x).key <= job.key) return false;
-  for (const int x : rule.apart)
-    if (first_open(x).key <= job.start_ns) return false;
-  for (const EarlyRule::Sample& sample : rule.samples) {
-    const FirstOpen open = first_open(sample.xnode);
-    // Of another clock all that is released before the planned start, be it now or not.
-    if (sample.one_clock ? open.key <= job.start_ns : open.release_ns < job.start_ns) return false;
-  }
+    if (first_open(x) <= job.key) return false;
+  for (const int x : rule.others)
+    if (first_open(x) <= job.start_ns) return false;
   return true;
 }
 
@@ -132,7 +118,7 @@ class EarlyStart {
   void write(Releases& of, std::uint64_t n, std::int64_t nominal_ns, bool exact);
   [[nodiscard]] std::int64_t drift_ns(const Releases& of, std::int64_t span_ns) const;
   [[nodiscard]] std::int64_t earliest_ns(const Releases& of, std::uint64_t n) const;
-  [[nodiscard]] FirstOpen first_open(std::size_t xnode) const;
+  [[nodiscard]] coord::Key first_open(std::size_t xnode) const;
   void count(std::size_t xnode, std::uint64_t activations);
 
   PlannedStarts planned_us_;

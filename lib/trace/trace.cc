@@ -62,6 +62,18 @@ std::uint32_t stamp_of(std::uint64_t index, std::uint64_t capacity) {
   return static_cast<std::uint32_t>((index / capacity + 1) * 2);
 }
 
+/// Whoever wrote it may be of another version than who reads it: an app is linked with a library of its own.
+Status check_header(const Header& header, std::uint64_t room) {
+  if (header.magic == kMagic && header.version != XAUTO_EVENT_VERSION)
+    return fail(ErrorCode::kInvalid,
+                "trace buffer is of version " + std::to_string(header.version) + ", not " +
+                    std::to_string(XAUTO_EVENT_VERSION),
+                {}, "xauto and the app's libxauto have to be of one version");
+  if (header.magic != kMagic || header.capacity == 0 || header.capacity > room)
+    return fail(ErrorCode::kInvalid, "trace buffer has no valid header");
+  return {};
+}
+
 }  // namespace
 
 Result<std::unique_ptr<Writer>> Writer::create(int fd, std::uint64_t capacity) {
@@ -91,9 +103,7 @@ Result<std::unique_ptr<Writer>> Writer::attach(int fd) {
     return fail(ErrorCode::kIo, std::string("cannot map the trace buffer: ") + strerror(errno));
   auto* header = static_cast<Header*>(memory);
   auto writer = std::unique_ptr<Writer>(new Writer(header, bytes));
-  if (header->magic != kMagic || header->version != XAUTO_EVENT_VERSION || header->capacity == 0 ||
-      header->capacity > (bytes - sizeof(Header)) / sizeof(Event))
-    return fail(ErrorCode::kInvalid, "trace buffer has no valid header");
+  XAUTO_TRY(check_header(*header, (bytes - sizeof(Header)) / sizeof(Event)));
   return writer;
 }
 
@@ -137,10 +147,9 @@ Result<Recording> read(int fd) {
     return fail(ErrorCode::kIo, std::string("cannot map the trace buffer: ") + strerror(errno));
   auto* header = static_cast<Header*>(memory);
   const std::uint64_t room = (bytes - sizeof(Header)) / sizeof(Event);
-  if (header->magic != kMagic || header->version != XAUTO_EVENT_VERSION || header->capacity == 0 ||
-      header->capacity > room) {
+  if (const Status valid = check_header(*header, room); !valid) {
     munmap(memory, bytes);
-    return fail(ErrorCode::kInvalid, "trace buffer has no valid header");
+    return tl::unexpected<Error>(valid.error());
   }
   const std::uint64_t capacity = header->capacity;
   const auto oldest = [&](std::uint64_t end) { return end > capacity ? end - capacity : 0; };

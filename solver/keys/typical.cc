@@ -276,24 +276,19 @@ void TypicalPlay::look_early() {
     for (const Ready& held : std::exchange(d.early, {})) look_at(held.xnode, held.number);
 }
 
-/// When the first activation that has not ended is released, and its key.
-std::pair<Tick, Tick> TypicalPlay::first_open(int x) const {
+/// The key of the first activation that has not ended.
+Tick TypicalPlay::first_open(int x) const {
   const std::int64_t n = done_[at(x)];
-  const Tick release = released(x, n);
-  return {release, release + w_->d[p_.slot_of(x, n)]};
+  return released(x, n) + w_->d[p_.slot_of(x, n)];
 }
 
 bool TypicalPlay::may_start_early(int xnode, const Job& job) const {
   const std::size_t m = at((*xpu_)[at(xnode)]);
   if (p_.levels[m] != kAnyLevels || p_.preempt[m] > 0)
     for (const int x : devices_[m].xnodes)
-      if (x != xnode && first_open(x).second <= job.key) return false;
-  for (const int u : sampled_[at(xnode)]) {
-    const auto [release, key] = first_open(u);
-    const bool one_clock =
-        p_.domains[at(p_.domain_of(u))].clock == p_.domains[at(p_.domain_of(xnode))].clock;
-    if (one_clock ? key <= job.planned : release < job.planned) return false;
-  }
+      if (x != xnode && first_open(x) <= job.key) return false;
+  for (const int u : sampled_[at(xnode)])
+    if (first_open(u) <= job.planned) return false;
   return true;
 }
 

@@ -80,7 +80,7 @@ class TypicalPlay {
   void look_at(int xnode, std::int64_t n);
   void look_early();
   [[nodiscard]] bool may_start_early(int xnode, const Job& job) const;
-  [[nodiscard]] std::pair<Tick, Tick> first_open(int xnode) const;
+  [[nodiscard]] Tick first_open(int xnode) const;
   void ends(int xpu);
   void read(int xnode, std::int64_t n);
   void count(int xnode, std::int64_t n);

@@ -435,7 +435,8 @@ class Run {
     if (w_.early_ == Early::kWithoutSamples) return true;
     for (const auto& [u, v] : w_.app_.samples)
       if (at(v) == i && !ended(at(u), [&](const Job& other) {
-            return (w_.clock(at(u)) == w_.clock(i) ? other.key : other.release + 1) <= job.planned;
+            return other.key <= job.planned &&
+                   (other.release <= now_ || w_.early_ != Early::kOfTheReleased);
           }))
         return false;
     return true;
