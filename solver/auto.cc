@@ -160,7 +160,7 @@ class Team {
     when.max_evaluations = budget;
     when.stop = options_.stop;
     when.stop_too = counted() ? nullptr : &done_;
-    when.target = counted() || problem_.goal.weighted ? nullptr : &bound_;
+    when.target = counted() ? nullptr : &bound_;
     when.effort = effort;
     return when;
   }
@@ -410,8 +410,6 @@ class Team {
   }
 
   [[nodiscard]] bool met() const {
-    if (problem_.goal.weighted)
-      return false;  // the bound is on the makespan, the incumbent is a sum
     if (options_.certify) return ordered_best_.load() <= bound_.load();
     return incumbent_.load() <= bound_.load();
   }

@@ -39,18 +39,18 @@ std::vector<int> cover(const Regrets& of, double regret, int most, const std::at
     const bool serves =
         std::any_of(of[c].begin(), of[c].end(), [&](double r) { return r <= regret; });
     if (!serves || dominated(of, c, regret)) continue;
-    column[c] = model.add_binary("table_" + std::to_string(c));
+    column[c] = model.add_binary();
     all.push_back({column[c], 1});
   }
-  const int count = model.add_column("tables", 0, most);
+  const int count = model.add_column(0, most);
   all.push_back({count, -1});
-  model.equal("tables", all, 0);
+  model.equal(all, 0);
   for (std::size_t s = 0; s < of.front().size(); ++s) {
     std::vector<IlpModel::Term> serve;
     for (std::size_t c = 0; c < of.size(); ++c)
       if (column[c] >= 0 && of[c][s] <= regret) serve.push_back({column[c], 1});
     if (serve.empty()) return {};
-    model.at_least("scenario_" + std::to_string(s), serve, 1);
+    model.at_least(serve, 1);
   }
   model.minimise(count);
   constexpr double kSeconds = 2;  // chosen: what lp_solve has then is valid

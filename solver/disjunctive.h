@@ -9,7 +9,6 @@
 // owner. Units: microseconds.
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
 #include "solver/problem.h"

@@ -228,7 +228,7 @@ void Evaluator::start_from_scratch() {
 }
 
 Time Evaluator::cost() const {
-  return (problem_.goal.weighted ? 0 : state_.latest) + state_.charged;
+  return state_.latest + state_.charged;
 }
 
 void Evaluator::save(State& snapshot, Time now, Time latest) const {
@@ -320,8 +320,7 @@ Time Evaluator::run(Time limit) {
       // False: too late for the limit.
       const auto make_ready = [&](std::size_t s) {
         if constexpr (!kRecord) {
-          if (now + solution_.work[s] + solution_.tail[s] >= limit && !problem_.goal.weighted)
-            return false;
+          if (now + solution_.work[s] + solution_.tail[s] >= limit) return false;
         } else {
           committed_.ready_at[s] = now;
         }
@@ -361,12 +360,10 @@ Time Evaluator::run(Time limit) {
 Time Evaluator::evaluate(Time limit) {
   ++evaluations_;
   if (dirty_from_ == kNever) return makespan_ < limit ? makespan_ : kNever;
-  if (!problem_.goal.weighted) {
-    for (std::size_t x = 0; x < m_; ++x)
-      if (solution_.load[x] >= limit) return kNever;
-    for (int s : links_.sources)
-      if (solution_.work[at(s)] + solution_.tail[at(s)] >= limit) return kNever;
-  }
+  for (std::size_t x = 0; x < m_; ++x)
+    if (solution_.load[x] >= limit) return kNever;
+  for (int s : links_.sources)
+    if (solution_.work[at(s)] + solution_.tail[at(s)] >= limit) return kNever;
   // The last snapshot strictly before the first difference; its own decisions are then still valid.
   std::size_t k = kept_.used;
   while (k > 0 && kept_.all[k - 1].now >= dirty_from_) --k;

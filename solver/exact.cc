@@ -23,15 +23,13 @@ namespace {
 /// One attempt: is a makespan of at most T impossible?
 class Refuter : private Rules {
  public:
-  /// `with_deadlines`: those of the goal must be met too.
-  Refuter(const Problem& problem, const ProofControl& control, bool with_deadlines = false)
+  Refuter(const Problem& problem, const ProofControl& control)
       : Rules(problem),
         control_(control),
         lp_(problem, [&control] { return control.stopped(); }),
         machine_(problem),
         fit_(problem),
         evaluator_(problem),
-        with_deadlines_(with_deadlines && !problem.goal.plain()),
         weight_(at(problem.num_xnodes), 1.0) {
     // A large app's windows begin with what its load says; shaving finds that in a small one.
     if (n_ > kLarge) start_ = composite_bound(problem, 1, {control.deadline, control.stop});
@@ -76,9 +74,6 @@ class Refuter : private Rules {
         windows.r[at(i)] = start_.heads[at(i)];
         windows.d[at(i)] = makespan - start_.tails[at(i)];
       }
-    if (with_deadlines_)
-      for (int i = 0; i < n_; ++i)
-        windows.d[at(i)] = std::min(windows.d[at(i)], problem_.goal.deadline[at(i)]);
     return windows;
   }
 
@@ -485,7 +480,6 @@ class Refuter : private Rules {
   InstanceFit fit_;
   Evaluator evaluator_;
   CompositeBound start_;
-  bool with_deadlines_;
   std::map<Time, Known> known_;  ///< by makespan
   std::int64_t nodes_left_ = 0;
   /// How often deciding an XNode's type was refuted at once: those are decided first. Kept from one
@@ -503,18 +497,6 @@ class Refuter : private Rules {
 constexpr std::int64_t kMostNodes = std::int64_t{1} << 50;
 
 }  // namespace
-
-bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofControl& control) {
-  if (problem.num_types > kMostTypes) return false;
-  Refuter refuter(problem, control, true);
-  for (std::int64_t nodes = 1; !refuter.stopped(); nodes = std::min(kMostNodes, nodes * 4 + 100)) {
-    if (refuter.refute(makespan_limit, nodes, nodes > 1 ? 2 : 0) == Refuter::Answer::kRefuted)
-      return true;
-    if (refuter.met_open_leaf()) return false;
-    refuter.take_turns();
-  }
-  return false;
-}
 
 Time prove_bound(const Problem& problem, const ProofControl& control) {
   Time bound = std::max(control.known_bound, quick_bound(problem));

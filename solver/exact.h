@@ -45,8 +45,4 @@ struct ProofControl {
 /// more, a better incumbent might.
 [[nodiscard]] Time prove_bound(const Problem& problem, const ProofControl& control);
 
-/// True: proven that no schedule meets all deadlines of Problem::goal (and `makespan_limit`).
-[[nodiscard]] bool deadlines_refuted(const Problem& problem, Time makespan_limit,
-                                     const ProofControl& control);
-
 }  // namespace xauto::solver

@@ -11,7 +11,6 @@
 #include "solver/heft.h"
 #include "solver/ilp_lp.h"
 #include "solver/ilp_ranges.h"
-#include "solver/paper_model.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
@@ -45,7 +44,6 @@ class BranchAndCut {
     if (probe(root, windows)) descend(std::move(root), std::move(windows));
     answer_.finished = !until_.over();
     answer_.lps = relaxation_.solved();
-    answer_.rows = relaxation_.most_rows();
     if (answer_.finished) answer_.bound = std::max(answer_.bound, limit_ + 1);
   }
 
@@ -290,24 +288,11 @@ Result<IlpAnswer> solve_ilp(const Problem& problem, const IlpOptions& options) {
   answer.bound = std::min(answer.makespan, std::max(options.known_bound, quick_bound(problem)));
   if (answer.bound == answer.makespan) {
     answer.proven = answer.finished = true;
-    answer.status = "optimal before the model: the incumbent meets the bound";
     return answer;
-  }
-  if (!options.write_model.empty()) {
-    PaperModel paper(problem, answer.makespan);
-    paper.bound_makespan(answer.bound, answer.makespan - 1);
-    if (!paper.model().write(options.write_model))
-      return fail(ErrorCode::kIo, "cannot write the model", options.write_model);
   }
   BranchAndCut(problem, answer, until).run();
   answer.bound = std::min(answer.bound, answer.makespan);
   answer.proven = answer.bound == answer.makespan;
-  if (!answer.finished)
-    answer.status = options.stop != nullptr && options.stop->load() ? "stopped" : "time limit";
-  else if (answer.model_makespan == 0)
-    answer.status = "nothing is shorter than the incumbent";
-  else
-    answer.status = "optimal";
   return answer;
 }
 

@@ -7,8 +7,6 @@
 
 #include <atomic>
 #include <optional>
-#include <string>
-#include <vector>
 
 #include "solver/problem.h"
 
@@ -21,8 +19,6 @@ struct IlpOptions {
   std::optional<Decision> incumbent = std::nullopt;
   /// A lower bound known from elsewhere; 0: none.
   Time known_bound = 0;
-  /// If not empty, the whole model is written there in lp_format before it is solved (*.mps: free MPS).
-  std::string write_model = {};
 };
 
 struct IlpAnswer {
@@ -37,12 +33,9 @@ struct IlpAnswer {
       0;  ///< nodes, and what is asked at the root, that lp_solve's LPs have refuted
   std::int64_t by_ranges = 0;  ///< that needed no LP
   std::int64_t lps = 0;        ///< that lp_solve has solved
-  int rows = 0;                ///< of the largest of them
-  std::string
-      status;  ///< "optimal", "nothing is shorter than the incumbent", "time limit", "stopped", ...
 };
 
-/// Errors: kInvalid if the model would be too large (rows are O(n^3 m)); kIo. An LP that lp_solve cannot solve refutes
+/// Errors: kInvalid if the model would be too large (rows are O(n^3 m)). An LP that lp_solve cannot solve refutes
 /// nothing, and the search goes on: it ends at the limit, when told, or when all is proven.
 [[nodiscard]] Result<IlpAnswer> solve_ilp(const Problem& problem, const IlpOptions& options = {});
 

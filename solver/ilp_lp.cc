@@ -37,7 +37,7 @@ struct IlpRelaxation::Lp {
     high.push_back(most);
     is_time.push_back(time ? 1 : 0);
     const double by = time ? unit : 1;
-    return model.add_column({}, static_cast<double>(least) / by, static_cast<double>(most) / by);
+    return model.add_column(static_cast<double>(least) / by, static_cast<double>(most) / by);
   }
   [[nodiscard]] double value(int column) const { return model.value(column); }
 };
@@ -55,9 +55,9 @@ void IlpRelaxation::add(Lp& lp, Row row) {
   std::vector<IlpModel::Term> terms;
   for (const auto& term : row.terms) terms.push_back({term.first, scaled(lp, row, term)});
   if (row.equal)
-    lp.model.equal({}, terms, static_cast<double>(row.right));
+    lp.model.equal(terms, static_cast<double>(row.right));
   else
-    lp.model.at_least({}, terms, static_cast<double>(row.right) / lp.unit);
+    lp.model.at_least(terms, static_cast<double>(row.right) / lp.unit);
   lp.rows.push_back(std::move(row));
 }
 
@@ -263,7 +263,6 @@ bool IlpRelaxation::refuted(const IlpNode& node, std::vector<IlpWindow>& windows
   for (int round = 0; round < kRounds && !until.over(); ++round) {
     ++solved_;
     solved = lp.model.solve_relaxed(until);
-    most_rows_ = std::max(most_rows_, lp.model.rows());
     if (!solved) break;
     if (lp.value(lp.excess) > 0 && holds_in_integers(lp)) return true;
     for (std::size_t k = 0; k < share_.size(); ++k)

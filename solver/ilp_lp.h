@@ -33,7 +33,6 @@ class IlpRelaxation {
                   static_cast<std::size_t>(of_class)];
   }
   [[nodiscard]] std::int64_t solved() const { return solved_; }  ///< LPs
-  [[nodiscard]] int most_rows() const { return most_rows_; }
 
  private:
   /// sum of terms >= right, or equal to it; in microseconds, but for the shares.
@@ -61,7 +60,6 @@ class IlpRelaxation {
   const IlpRanges& ranges_;
   std::vector<double> share_;
   std::int64_t solved_ = 0;
-  int most_rows_ = 0;
 };
 
 }  // namespace xauto::solver

@@ -19,21 +19,17 @@ IlpModel::~IlpModel() {
   delete_lp(lp_);
 }
 
-int IlpModel::add_column(const std::string& name, double low, double high) {
+int IlpModel::add_column(double low, double high) {
   REAL value = 0;
   int row = 0;
   add_columnex(lp_, 0, &value, &row);
   ++columns_;
-  if (!name.empty()) {
-    std::string copy = name;
-    set_col_name(lp_, columns_, copy.data());
-  }
   set_bounds(lp_, columns_, low, high);
   return columns_;
 }
 
-int IlpModel::add_binary(const std::string& name) {
-  const int column = add_column(name, 0, 1);
+int IlpModel::add_binary() {
+  const int column = add_column(0, 1);
   set_int(lp_, column, TRUE);
   return column;
 }
@@ -42,18 +38,17 @@ void IlpModel::set_range(int column, double low, double high) {
   set_bounds(lp_, column, low, high);
 }
 
-void IlpModel::at_least(const std::string& name, const std::vector<Term>& terms, double right) {
-  add_row(name, terms, GE, right);
+void IlpModel::at_least(const std::vector<Term>& terms, double right) {
+  add_row(terms, GE, right);
 }
-void IlpModel::at_most(const std::string& name, const std::vector<Term>& terms, double right) {
-  add_row(name, terms, LE, right);
+void IlpModel::at_most(const std::vector<Term>& terms, double right) {
+  add_row(terms, LE, right);
 }
-void IlpModel::equal(const std::string& name, const std::vector<Term>& terms, double right) {
-  add_row(name, terms, EQ, right);
+void IlpModel::equal(const std::vector<Term>& terms, double right) {
+  add_row(terms, EQ, right);
 }
 
-void IlpModel::add_row(const std::string& name, const std::vector<Term>& terms, int type,
-                       double right) {
+void IlpModel::add_row(const std::vector<Term>& terms, int type, double right) {
   // One column may come twice (i = k in equation 4): lp_solve wants it once.
   std::vector<Term> sorted = terms;
   std::sort(sorted.begin(), sorted.end(),
@@ -70,9 +65,6 @@ void IlpModel::add_row(const std::string& name, const std::vector<Term>& terms, 
   }
   add_constraintex(lp_, static_cast<int>(scratch_columns_.size()), scratch_factors_.data(),
                    scratch_columns_.data(), type, right);
-  if (name.empty()) return;
-  std::string copy = name;
-  set_row_name(lp_, get_Nrows(lp_), copy.data());
 }
 
 void IlpModel::minimise(int column) {
@@ -162,19 +154,6 @@ IlpModel::Outcome IlpModel::solve(double time_limit_s, const std::atomic<bool>* 
     default:
       return stopped_ ? Outcome::kStopped : out_of_time_ ? Outcome::kTimeLimit : Outcome::kFailed;
   }
-}
-
-std::int64_t IlpModel::nodes() const {
-  return get_total_nodes(lp_);
-}
-int IlpModel::rows() const {
-  return get_Nrows(lp_);
-}
-
-bool IlpModel::write(const std::string& path) {
-  std::string copy = path;
-  return (path.ends_with(".mps") ? write_freemps(lp_, copy.data()) : write_lp(lp_, copy.data())) !=
-         FALSE;
 }
 
 }  // namespace xauto::solver

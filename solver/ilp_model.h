@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// A thin owner of one lp_solve model: named columns and rows, minimise columns, end on time.
+// A thin owner of one lp_solve model: columns and rows, minimise columns, end on time.
 // Private to ilp*.cc.
 #pragma once
 
 #include <atomic>
 #include <chrono>
-#include <string>
 #include <vector>
 
 #include "solver/until.h"
@@ -32,13 +31,13 @@ class IlpModel {
   IlpModel(const IlpModel&) = delete;
   IlpModel& operator=(const IlpModel&) = delete;
 
-  /// Continuous, within [low, high]. Names may be empty.
-  int add_column(const std::string& name, double low, double high);
-  int add_binary(const std::string& name);
+  /// Continuous, within [low, high].
+  int add_column(double low, double high);
+  int add_binary();
   /// sum of terms >= right / <= right / = right.
-  void at_least(const std::string& name, const std::vector<Term>& terms, double right);
-  void at_most(const std::string& name, const std::vector<Term>& terms, double right);
-  void equal(const std::string& name, const std::vector<Term>& terms, double right);
+  void at_least(const std::vector<Term>& terms, double right);
+  void at_most(const std::vector<Term>& terms, double right);
+  void equal(const std::vector<Term>& terms, double right);
   void set_range(int column, double low, double high);
   void minimise(int column);
   void minimise(const std::vector<Term>& terms);  ///< each column once
@@ -55,14 +54,10 @@ class IlpModel {
   [[nodiscard]] double value(int column) const {
     return values_[static_cast<std::size_t>(column - 1)];
   }
-  [[nodiscard]] std::int64_t nodes() const;
-  [[nodiscard]] int rows() const;
-  [[nodiscard]] int columns() const { return columns_; }
-  [[nodiscard]] bool write(const std::string& path);  ///< *.mps: free MPS, else lp_format
 
  private:
   void abort_at(std::chrono::steady_clock::time_point deadline, const std::atomic<bool>* stop);
-  void add_row(const std::string& name, const std::vector<Term>& terms, int type, double right);
+  void add_row(const std::vector<Term>& terms, int type, double right);
 
   _lprec* lp_;
   int columns_ = 0;

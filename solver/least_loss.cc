@@ -164,23 +164,21 @@ class Search {
     std::vector<IlpModel::Term> cost;
     for (std::size_t k = 0; k < items_.size(); ++k)
       for (int level = 1; level <= items_[k].highest(); ++level) {
-        from[k].push_back(
-            model.add_binary("from_" + std::to_string(k) + "_" + std::to_string(level)));
+        from[k].push_back(model.add_binary());
         const auto more =
             static_cast<double>(items_[k].pct[at(level)] - items_[k].pct[at(level - 1)]);
         cost.push_back({from[k].back(), more});
-        if (level > 1)
-          model.at_least("falls", {{from[k][at(level - 2)], 1}, {from[k].back(), -1}}, 0);
+        if (level > 1) model.at_least({{from[k][at(level - 2)], 1}, {from[k].back(), -1}}, 0);
       }
     for (std::size_t k = 0; k < items_.size(); ++k)
       for (const int other : items_[k].pulls)
-        model.at_least("pulls", {{from[at(other)].front(), 1}, {from[k].front(), -1}}, 0);
+        model.at_least({{from[at(other)].front(), 1}, {from[k].front(), -1}}, 0);
     for (const Levels& cut : cuts) {
       std::vector<IlpModel::Term> above;
       for (std::size_t k = 0; k < items_.size(); ++k)
         if (cut[k] < items_[k].highest()) above.push_back({from[k][at(cut[k])], 1});
       if (above.empty()) return std::nullopt;  // not even all suffices, and it did: not monotone
-      model.at_least("cut", above, 1);
+      model.at_least(above, 1);
     }
     // Of the binaries themselves. Told to minimise a column that a row ties to their sum, lp_solve
     // 5.5.2.5 called 301 optimal where 300 can be had (docs/ilp.md).

@@ -5,7 +5,6 @@
 #include <algorithm>
 
 #include "base/index.h"
-#include "solver/bounds.h"
 
 namespace xauto::solver {
 namespace {
@@ -107,31 +106,12 @@ Status resolve(const Objectives& objectives, const AppSpec& app, const Platform&
     if (!reaches(problem, from, to))
       return fail(ErrorCode::kInvalid, "'" + chain.to + "' does not depend on '" + chain.from + "'",
                   "chains: " + chain.name);
-    if (chain.weight < 0)
-      return fail(ErrorCode::kInvalid, "a weight below zero", "chains: " + chain.name);
     Goal& goal = problem.goal;
-    if (goal.weight.empty()) {
-      goal.weight.assign(at(problem.num_xnodes), 0);
-      goal.deadline.assign(at(problem.num_xnodes), Goal::kNone);
-    }
-    goal.weight[at(to)] += chain.weight;
-    goal.weighted = goal.weighted || chain.weight > 0;
+    if (goal.deadline.empty()) goal.deadline.assign(at(problem.num_xnodes), Goal::kNone);
     if (chain.deadline_us)
       goal.deadline[at(to)] = std::min(goal.deadline[at(to)], *chain.deadline_us);
   }
   return {};
-}
-
-std::vector<ChainOutcome> chain_outcomes(const Objectives& objectives, const AppSpec& app,
-                                         const Problem& problem, const PriorityPlan& policy) {
-  const std::vector<Time> heads = static_heads(problem), least = least_wcet(problem);
-  std::vector<ChainOutcome> outcomes;
-  for (const ChainWish& chain : objectives.chains) {
-    const std::size_t to = at(app.find(chain.to));
-    outcomes.push_back(
-        {chain.name, policy.placements[to].finish_us, heads[to] + least[to], chain.deadline_us});
-  }
-  return outcomes;
 }
 
 }  // namespace xauto::solver

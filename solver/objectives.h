@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a user may ask for beyond the least makespan: deadlines and weights per chain, pinning,
+// What a user may ask for beyond the least makespan: deadlines per chain, pinning,
 // forbidding and grouping of XNodes. Everything is named by name, as in app.json ("chains", "pins",
 // "forbids", "groups") and on the command line; resolve() turns it into the dense form that the
 // search reads.
@@ -19,7 +19,6 @@ namespace xauto::solver {
 struct ChainWish {
   std::string name, from, to;
   std::optional<Time> deadline_us;
-  std::int64_t weight = 0;  ///< of its latency in the sum that is minimised, if any chain has one
 };
 
 struct Objectives {
@@ -27,30 +26,15 @@ struct Objectives {
   std::vector<std::pair<std::string, std::string>> pins;     ///< XNode -> XPU id or type
   std::vector<std::pair<std::string, std::string>> forbids;  ///< XNode -> XPU id or type
   std::vector<std::vector<std::string>> groups;              ///< XNodes on one instance
-  std::optional<Time> deadline_us;  ///< of the whole; else AppSpec::deadline_us
 
   [[nodiscard]] bool empty() const {
-    return chains.empty() && pins.empty() && forbids.empty() && groups.empty() && !deadline_us;
+    return chains.empty() && pins.empty() && forbids.empty() && groups.empty();
   }
 };
-
-/// What became of one chain.
-struct ChainOutcome {
-  std::string name;
-  Time latency_us = 0, bound_us = 0;
-  std::optional<Time> deadline_us;
-  [[nodiscard]] bool met() const { return !deadline_us || latency_us <= *deadline_us; }
-};
-
-enum class Feasibility { kNotAsked, kMet, kUnknown, kImpossible };
 
 /// Narrows `problem` and fills its goal. kInvalid: an unknown name, a chain that does not connect;
 /// kInfeasible: an XNode or a group that has no XPU left.
 [[nodiscard]] Status resolve(const Objectives& objectives, const AppSpec& app,
                              const Platform& platform, Problem& problem);
-
-[[nodiscard]] std::vector<ChainOutcome> chain_outcomes(const Objectives& objectives,
-                                                       const AppSpec& app, const Problem& problem,
-                                                       const PriorityPlan& policy);
 
 }  // namespace xauto::solver

@@ -96,7 +96,7 @@ void OrderedEvaluator::reposition(int xnode, int position) {
 Time OrderedEvaluator::evaluate(Time limit) {
   ++evaluations_;
   const auto first = at(first_);
-  const bool plain = problem_.goal.plain(), weighted = problem_.goal.weighted;
+  const bool plain = problem_.goal.plain();
   Time makespan = -kNever, charged = 0;
   free_at_ = around_.free_at;
   for (std::size_t k = 0; k < first; ++k) {
@@ -111,14 +111,14 @@ Time OrderedEvaluator::evaluate(Time limit) {
     Time begin = std::max(free_at_[at(xpu_[i])], around_.released[i]);
     for (int p : problem_.pred[i]) begin = std::max(begin, try_finish_[at(p)]);
     const Time end = begin + problem_.wcet_on(xnode, xpu_[i]);
-    if (end + tail_[i] >= limit && !weighted) return kNever;
+    if (end + tail_[i] >= limit) return kNever;
     try_finish_[i] = free_at_[at(xpu_[i])] = end;
     makespan = std::max(makespan, end + around_.behind[i]);
     if (!plain) charged += problem_.goal.charge(i, end);
   }
   for (std::size_t x = 0; x < m_; ++x)
     makespan = std::max(makespan, free_at_[x] + around_.after[x]);
-  const Time cost = (weighted ? 0 : makespan) + charged;
+  const Time cost = makespan + charged;
   return cost < limit ? cost : kNever;
 }
 
@@ -138,7 +138,6 @@ void OrderedEvaluator::commit() {
     makespan_ = std::max(makespan_, free_at_[x] + around_.after[x]);
   const Goal& goal = problem_.goal;
   if (goal.plain()) return;
-  if (goal.weighted) makespan_ = 0;
   for (std::size_t i = 0; i < n_; ++i) makespan_ += goal.charge(i, finish_[i]);
 }
 

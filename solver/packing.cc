@@ -2,8 +2,6 @@
 // See packing.h.
 #include "solver/packing.h"
 
-#include <algorithm>
-
 namespace xauto::solver {
 
 Time packed(Time work, Time length, Time grain) {

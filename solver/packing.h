@@ -17,7 +17,6 @@
 // grain 0 is the energy itself.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
 #include "solver/problem.h"

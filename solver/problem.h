@@ -40,20 +40,16 @@ using Time = std::int64_t;  ///< microseconds
 inline constexpr Time kCannotRun = -1;
 
 /// What is minimised, if not the makespan alone (objectives.h):
-///   cost = (weighted ? sum of weight_i * finish_i : makespan)
-///          + kLate * sum over i of max(0, finish_i - deadline_i)
+///   cost = makespan + kLate * sum over i of max(0, finish_i - deadline_i)
 struct Goal {
   static constexpr Time kNone = std::int64_t{1} << 60;
   static constexpr Time kLate = 1000;
-  bool weighted = false;
-  std::vector<std::int64_t> weight;  ///< [xnode]; empty: the makespan alone
-  std::vector<Time> deadline;        ///< [xnode], kNone where there is none
+  std::vector<Time> deadline;  ///< [xnode], kNone where there is none; empty: the makespan alone
 
-  [[nodiscard]] bool plain() const { return weight.empty(); }
+  [[nodiscard]] bool plain() const { return deadline.empty(); }
   /// What a finish adds to the cost beside the makespan.
   [[nodiscard]] Time charge(std::size_t xnode, Time finish) const {
-    return weight[xnode] * finish +
-           (finish > deadline[xnode] ? kLate * (finish - deadline[xnode]) : 0);
+    return finish > deadline[xnode] ? kLate * (finish - deadline[xnode]) : 0;
   }
 };
 

@@ -12,7 +12,6 @@
 #include "solver/bounds.h"
 #include "solver/certify.h"
 #include "solver/construct.h"
-#include "solver/exact.h"
 #include "solver/heft.h"
 #include "solver/ilp.h"
 #include "solver/ilp_ranges.h"
@@ -25,8 +24,6 @@ namespace {
 constexpr double kAtLeastS = 0.2;   ///< beside each share: a small app has an answer at any limit
 constexpr double kForStarts = 0.4;  ///< what the search begins with
 constexpr double kForMoment = 0.1;  ///< each of what comes after the search
-constexpr double kForRefutation = 0.1;  ///< on top: whether a missed deadline has to be missed
-constexpr double kMostRefutationS = 360;
 /// Above so many XNodes the clock counts even where evaluations are limited.
 constexpr int kHuge = 1000;
 
@@ -76,47 +73,6 @@ std::vector<Solution> starts(const Problem& problem, const Until& until) {
       large.begin(),
       std::min(all.front(), *std::min_element(large.begin(), large.end(), shorter), shorter));
   return large;
-}
-
-/// Chains and deadlines of the finished policy; where one is missed, a last attempt to prove that
-/// it must be (a tenth of the time limit, on top of it).
-void account_for_deadlines(const AppSpec& app, const Problem& problem, const SolveOptions& options,
-                           const PriorityPlan& policy) {
-  if (options.report == nullptr) return;
-  SolveReport& report = *options.report;
-  report.chains = chain_outcomes(options.objectives, app, problem, policy);
-  const std::optional<Time> whole =
-      options.objectives.deadline_us ? options.objectives.deadline_us : app.deadline_us;
-  bool asked = whole.has_value(), met = !whole || policy.latency_us <= *whole;
-  for (const ChainOutcome& chain : report.chains) {
-    asked = asked || chain.deadline_us.has_value();
-    met = met && chain.met();
-  }
-  if (!asked) return;
-  report.feasibility = met ? Feasibility::kMet : Feasibility::kUnknown;
-  if (met) return;
-  if (whole && policy.lower_bound_us > *whole) {
-    report.feasibility = Feasibility::kImpossible;
-    return;
-  }
-  if (problem.num_xnodes > kMostToProve) return;
-  Time horizon = 0;
-  for (int i = 0; i < problem.num_xnodes; ++i) {
-    Time longest = 0;
-    for (int t = 0; t < problem.num_types; ++t) longest = std::max(longest, problem.wcet(i, t));
-    horizon += longest;
-  }
-  ProofControl control;
-  control.stop = options.stop;
-  if (options.max_evaluations > 0)
-    control.max_lps = options.max_evaluations / kEvaluationsPerLp + 1;
-  else
-    control.deadline =
-        std::chrono::steady_clock::now() +
-        std::chrono::milliseconds(static_cast<int>(
-            std::min(kForRefutation * options.time_limit_s, kMostRefutationS) * 1000));
-  if (deadlines_refuted(problem, std::min(horizon, whole.value_or(horizon)), control))
-    report.feasibility = Feasibility::kImpossible;
 }
 
 constexpr double kForIncumbent = 0.1, kMostForIncumbentS = 2;  ///< of method ilp; chosen
@@ -225,12 +181,6 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
   Decision decision;
   bool ordered = false;
   Time bound = 0;
-  const auto note_first = [&](Time latency) {
-    if (options.report == nullptr) return;
-    options.report->first_latency_us = latency;
-    options.report->first_answer_ms =
-        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
-  };
   if (options.method == "heft") {
     decision = heft(problem, at_most(1));
     bound = quick_bound(problem, at_most(1));
@@ -239,7 +189,6 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
     bound = quick_bound(problem, at_most(1));
   } else if (searches || options.method == "ilp") {
     const std::vector<Solution> first = starts(problem, at_most(kForStarts));
-    note_first(first.front().makespan);
     AutoResult result;
     if (searches) {
       result = solve_in_parallel(problem, options, first, options.method == "auto", began);
@@ -271,7 +220,6 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
   policy.worst_case_us =
       ordered ? policy.latency_us
               : worst_case(problem, decision, kMostChainSteps, a_moment(problem, options));
-  account_for_deadlines(app, problem, options, policy);
   policy.optimal = policy.lower_bound_us == policy.latency_us;
   policy.solve_us = std::chrono::duration_cast<std::chrono::microseconds>(
                         std::chrono::steady_clock::now() - began)

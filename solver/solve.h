@@ -5,7 +5,6 @@
 #include <atomic>
 #include <functional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "solver/objectives.h"
@@ -41,15 +40,10 @@ struct SolveOptions {
 /// What a policy file has no place for.
 struct SolveReport {
   std::int64_t evaluations = 0;
-  /// The first answer, from the call of solve() on; on_progress has shown it by then.
-  Time first_latency_us = 0;
-  double first_answer_ms = 0;
   /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
   /// policy is not ordered on every XPU, this minus its latency is the cost of certifying.
   Time certified_us = 0;
   std::string proof;  ///< method ilp: who has proven what, in words
-  std::vector<ChainOutcome> chains;
-  Feasibility feasibility = Feasibility::kNotAsked;  ///< of all deadlines together
 };
 
 /// Errors: kInvalid / kInfeasible from Problem::create; kInvalid for an unknown method, for chains

@@ -14,6 +14,7 @@
 #include "solver/solve.h"
 
 #include "bench/synthetic/measure.h"
+#include "bench/synthetic/time_sharing.h"
 #include "brute_force.h"
 
 namespace xauto::bench {
@@ -67,8 +68,6 @@ Result<Json> assignments(const Flags& flags) {
   const std::vector<std::string> names = movable(app);
   if (names.size() > 10)
     return fail(ErrorCode::kInvalid, "too many XNodes with a choice", flags.app);
-  solver::SimulateOptions ideal;
-  ideal.ideal_sharing = true;
   Json rows = Json::array();
   for (std::uint32_t mask = 0; mask < 1U << names.size(); ++mask) {
     std::map<std::string, std::string> types;
@@ -80,15 +79,13 @@ Result<Json> assignments(const Flags& flags) {
     const AppSpec one = narrowed(app, types);
     XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(one, platform));
     XAUTO_ASSIGN(const PriorityPlan plan, planned(one, platform, flags.time_limit_s));
-    using solver::Model;
-    rows.push_back(
-        {{"dla", std::move(on_dla)},
-         {"ros2_us", solver::simulate_shared(problem, platform, Model::kRos2, {}).makespan},
-         {"ros2_ideal_us",
-          solver::simulate_shared(problem, platform, Model::kRos2, {}, ideal).makespan},
-         {"xauto_us", plan.latency_us},
-         {"bound_us", plan.lower_bound_us},
-         {"optimal", plan.optimal}});
+    rows.push_back({{"dla", std::move(on_dla)},
+                    {"ros2_us", share_time(problem, platform, Sharing::kRos2, {}).makespan},
+                    {"ros2_ideal_us",
+                     share_time(problem, platform, Sharing::kRos2, {}, {.ideal = true}).makespan},
+                    {"xauto_us", plan.latency_us},
+                    {"bound_us", plan.lower_bound_us},
+                    {"optimal", plan.optimal}});
   }
   return rows;
 }
@@ -156,9 +153,8 @@ Result<Json> timelines(const Flags& flags) {
   XAUTO_ASSIGN(const PriorityPlan gpu_plan, planned(on_gpu, platform, flags.time_limit_s));
   XAUTO_ASSIGN(const PriorityPlan plan, planned(app, platform, flags.time_limit_s));
   Json all = Json::array();
-  all.push_back(
-      timeline("modules, GPU only, nobody schedules (ROS 2)", app, platform,
-               solver::simulate_shared(gpu_problem, platform, solver::Model::kRos2, {}, drawn)));
+  all.push_back(timeline("modules, GPU only, nobody schedules (ROS 2)", app, platform,
+                         share_time(gpu_problem, platform, Sharing::kRos2, {}, {.slices = true})));
   all.push_back(timeline("stages, GPU only", app, platform,
                          solver::simulate(gpu_problem, decision_of(gpu_plan), drawn)));
   all.push_back(timeline("stages, GPU and DLA", app, platform,

@@ -11,6 +11,7 @@
 #include "solver/solve.h"
 
 #include "bench/synthetic/emulate.h"
+#include "bench/synthetic/time_sharing.h"
 
 namespace xauto::bench {
 namespace {
@@ -56,11 +57,8 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   Measured m;
   m.platform = platform.name;
   m.nodes = problem.num_xnodes;
-  using solver::Model;
-  solver::SimulateOptions ideal;
-  ideal.ideal_sharing = true;
-  m.ros2_ideal = solver::simulate_shared(problem, platform, Model::kRos2, {}, ideal).makespan;
-  m.ros2_slices = solver::simulate_shared(problem, platform, Model::kRos2, {}).makespan;
+  m.ros2_ideal = share_time(problem, platform, Sharing::kRos2, {}, {.ideal = true}).makespan;
+  m.ros2_slices = share_time(problem, platform, Sharing::kRos2, {}).makespan;
   m.heft = solver::simulate(problem, solver::heft(problem)).makespan;
 
   solver::SolveReport report;
@@ -96,9 +94,8 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
     decision.priority.push_back(p.priority);
   }
   m.unscheduled_ideal =
-      solver::simulate_shared(problem, platform, Model::kTimeshare, decision, ideal).makespan;
-  m.unscheduled_slices =
-      solver::simulate_shared(problem, platform, Model::kTimeshare, decision).makespan;
+      share_time(problem, platform, Sharing::kTimeshare, decision, {.ideal = true}).makespan;
+  m.unscheduled_slices = share_time(problem, platform, Sharing::kTimeshare, decision).makespan;
 
   solving.on_progress = nullptr;
   solving.report = nullptr;

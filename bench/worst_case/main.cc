@@ -87,15 +87,13 @@ Status attack(const Flags& flags, int number, Totals& totals) {
     wcet.push_back(problem.wcet_on(static_cast<int>(i), policy.placements[i].xpu));
   }
   decision.order = policy.order;
-  solver::Simulator simulator(problem);
-  simulator.set(decision);
   solver::Random random(flags.seed * 7919 + static_cast<std::uint64_t>(number));
   std::vector<solver::Time> times = wcet, worst = wcet;
-  solver::Time longest = simulator.run();
+  solver::Time longest = solver::simulate(problem, decision).makespan;
   std::int64_t above = 0;
   for (std::int64_t k = 0; k < flags.executions; ++k) {
     draw(random, random.below(5), wcet, worst, times);
-    const solver::Time latency = simulator.run(times);
+    const solver::Time latency = solver::simulate(problem, decision, {.actual = times}).makespan;
     above += latency > policy.latency_us;
     totals.broken += latency > *policy.worst_case_us;
     if (latency >= longest) {

@@ -4,7 +4,6 @@
 // takes for granted that there is none of it. Who exceeds a worst case is told so, and not sent to the authors.
 #pragma once
 
-#include <chrono>
 #include <cstdint>
 #include <map>
 #include <string>

@@ -3,7 +3,6 @@
 // itself. Needs CAP_SYS_NICE where the process is another user's. Any thread.
 #pragma once
 
-#include <cstdint>
 #include <string>
 
 #include <sys/types.h>

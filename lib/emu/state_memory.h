@@ -5,7 +5,6 @@
 // is killed are there up to some instruction and none beyond it.
 #pragma once
 
-#include <cstdint>
 #include <optional>
 
 #include <xauto/result.h>

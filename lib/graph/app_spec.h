@@ -3,7 +3,6 @@
 // functions that they declare in detail:: and that app_spec.cc has; they do not know these types.
 #pragma once
 
-#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>

@@ -34,7 +34,6 @@ constexpr const char* kBegin =
 // Until then each XNode keeps an emulated XPU busy for as long as times.h says.
 {1}#include <chrono>
 #include <cstdint>
-#include <cstdio>
 #include <memory>
 #include <stdexcept>
 #include <string>

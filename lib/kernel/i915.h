@@ -4,7 +4,6 @@
 // nodes under /dev/dri, which other drivers have too.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <string_view>
 

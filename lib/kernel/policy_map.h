@@ -6,7 +6,6 @@
 // Threads: one at a time.
 #pragma once
 
-#include <cstdint>
 #include <string>
 #include <vector>
 

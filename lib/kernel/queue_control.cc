@@ -72,25 +72,10 @@ std::uint32_t u32_of(const Attributes& attributes, int type) {
              : 0;
 }
 
-/// A connected socket that asks for extended acknowledgements, and the family's number.
-Result<std::pair<NlSocket, int>> connect_family() {
-  NlSocket socket(nl_socket_alloc());
-  if (!socket || genl_connect(socket.get()) != 0)
-    return fail(ErrorCode::kIo, "no generic netlink here", "xauto.ko");
-  const int yes = 1;
-  for (const int option : {NETLINK_EXT_ACK, NETLINK_CAP_ACK})
-    (void)setsockopt(nl_socket_get_fd(socket.get()), SOL_NETLINK, option, &yes, sizeof yes);
-  const int family = genl_ctrl_resolve(socket.get(), XAUTO_FAMILY_NAME);
-  if (family < 0)
-    return fail(ErrorCode::kUnavailable, "the kernel module is not loaded", "xauto.ko",
-                "as root: modprobe xauto");
-  return std::pair{std::move(socket), family};
-}
-
 }  // namespace
 
 struct QueueControl::Socket {
-  NlSocket socket;
+  NlSocket socket{nl_socket_alloc()};
   int family = -1;
   std::vector<QueueInfo> infos;
   std::vector<std::uint64_t> costs;
@@ -239,11 +224,18 @@ int QueueControl::family() const {
 }
 
 Result<QueueControl> QueueControl::open() {
-  XAUTO_ASSIGN(auto connected, connect_family());
-  auto socket = std::make_unique<Socket>();
-  socket->socket = std::move(connected.first);
-  socket->family = connected.second;
-  return QueueControl(std::move(socket));
+  auto own = std::make_unique<Socket>();
+  nl_sock* socket = own->socket.get();
+  if (socket == nullptr || genl_connect(socket) != 0)
+    return fail(ErrorCode::kIo, "no generic netlink here", "xauto.ko");
+  const int yes = 1;
+  for (const int option : {NETLINK_EXT_ACK, NETLINK_CAP_ACK})
+    (void)setsockopt(nl_socket_get_fd(socket), SOL_NETLINK, option, &yes, sizeof yes);
+  own->family = genl_ctrl_resolve(socket, XAUTO_FAMILY_NAME);
+  if (own->family < 0)
+    return fail(ErrorCode::kUnavailable, "the kernel module is not loaded", "xauto.ko",
+                "as root: modprobe xauto");
+  return QueueControl(std::move(own));
 }
 
 Result<RegisteredQueue> QueueControl::register_queue(QueueType type, int fd, pid_t pid) {
@@ -362,63 +354,6 @@ Result<std::vector<QueueInfo>> QueueControl::list(int tries) {
   return fail(ErrorCode::kUnavailable,
               "queues came or went each time that it was read, " + std::to_string(tries) + " times",
               "list");
-}
-
-struct QueueEvents::Socket {
-  NlSocket socket;
-  std::optional<QueueEvent> event;
-};
-
-QueueEvents::QueueEvents(std::unique_ptr<Socket> socket) : socket_(std::move(socket)) {}
-QueueEvents::QueueEvents(QueueEvents&&) noexcept = default;
-QueueEvents& QueueEvents::operator=(QueueEvents&&) noexcept = default;
-QueueEvents::~QueueEvents() = default;
-
-Result<QueueEvents> QueueEvents::subscribe() {
-  XAUTO_ASSIGN(auto connected, connect_family());
-  auto socket = std::make_unique<Socket>();
-  socket->socket = std::move(connected.first);
-  nl_sock* s = socket->socket.get();
-  const int group = genl_ctrl_resolve_grp(s, XAUTO_FAMILY_NAME, XAUTO_MCGRP_EVENTS);
-  if (group < 0 || nl_socket_add_membership(s, group) != 0)
-    return fail(ErrorCode::kPermission, "the kernel does not let this user listen", "xauto.ko",
-                "run with CAP_NET_ADMIN, or read the trace events xauto:*");
-  nl_socket_disable_seq_check(s);
-  nl_socket_set_nonblocking(s);
-  (void)nl_socket_set_buffer_size(s, 1 << 20, 0);
-  nl_socket_modify_cb(
-      s, NL_CB_VALID, NL_CB_CUSTOM,
-      [](nl_msg* message, void* argument) -> int {
-        Attributes a{};
-        auto* self = static_cast<Socket*>(argument);
-        if (genlmsg_parse(nlmsg_hdr(message), 0, a.data(), XAUTO_A_MAX, nullptr) < 0)
-          return NL_SKIP;
-        self->event = QueueEvent{static_cast<xauto_kevent>(u32_of(a, XAUTO_A_EVENT)),
-                                 u32_of(a, XAUTO_A_QUEUE),
-                                 static_cast<pid_t>(u32_of(a, XAUTO_A_PID)),
-                                 u32_of(a, XAUTO_A_PORTID),
-                                 u64_of(a, XAUTO_A_TIME_NS),
-                                 u64_of(a, XAUTO_A_COST_NS),
-                                 static_cast<int>(u32_of(a, XAUTO_A_ERRNO)),
-                                 u64_of(a, XAUTO_A_ESCAPES)};
-        return NL_OK;
-      },
-      socket.get());
-  return QueueEvents(std::move(socket));
-}
-
-Result<std::optional<QueueEvent>> QueueEvents::next(int timeout_ms) {
-  nl_sock* s = socket_->socket.get();
-  socket_->event.reset();
-  pollfd ready{nl_socket_get_fd(s), POLLIN, 0};
-  if (poll(&ready, 1, timeout_ms) <= 0) return std::optional<QueueEvent>();
-  const int status = nl_recvmsgs_default(s);
-  if (status == -NLE_NOMEM)
-    return fail(ErrorCode::kIo, "events were lost: they came faster than they were read",
-                "xauto.ko");
-  if (status < 0 && status != -NLE_AGAIN)
-    return fail(ErrorCode::kIo, nl_geterror(status), "xauto.ko");
-  return socket_->event;
 }
 
 }  // namespace xauto::kernel

@@ -5,7 +5,6 @@
 
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <span>
 #include <vector>
 
@@ -28,7 +27,7 @@ enum class QueueType : std::uint32_t {
 /// A queue as this connection knows it.
 struct RegisteredQueue {
   std::uint32_t handle = 0;  ///< of this connection
-  std::uint32_t queue = 0;   ///< of the machine; in events
+  std::uint32_t queue = 0;   ///< of the machine; in the module's events
 };
 
 /// One step of a batch.
@@ -98,36 +97,6 @@ class QueueControl {
   struct Socket;
   explicit QueueControl(std::unique_ptr<Socket> socket);
   [[nodiscard]] Status send_ops(std::span<const QueueOp> ops, int flags);
-  std::unique_ptr<Socket> socket_;
-};
-
-struct QueueEvent {
-  xauto_kevent kind = XAUTO_KEV_REGISTER;
-  std::uint32_t queue = 0;  ///< 0 for an owner's events
-  pid_t pid = 0;
-  std::uint32_t port = 0;
-  std::uint64_t time_ns = 0;  ///< CLOCK_MONOTONIC
-  std::uint64_t cost_ns = 0;
-  int error = 0;              ///< a positive errno
-  std::uint64_t escapes = 0;  ///< with XAUTO_KEV_ESCAPED
-};
-
-/// What xauto.ko does, as it does it. Threads: one at a time.
-class QueueEvents {
- public:
-  /// kPermission without CAP_NET_ADMIN.
-  [[nodiscard]] static Result<QueueEvents> subscribe();
-  QueueEvents(QueueEvents&&) noexcept;
-  QueueEvents& operator=(QueueEvents&&) noexcept;
-  ~QueueEvents();
-
-  /// The next one, or nothing within the time. kIo with "lost" in it when the kernel had to drop
-  /// some.
-  [[nodiscard]] Result<std::optional<QueueEvent>> next(int timeout_ms);
-
- private:
-  struct Socket;
-  explicit QueueEvents(std::unique_ptr<Socket> socket);
   std::unique_ptr<Socket> socket_;
 };
 

@@ -4,7 +4,6 @@
 // process are left alone, and blocked on that thread.
 #pragma once
 
-#include <cstdint>
 #include <functional>
 #include <future>
 #include <memory>

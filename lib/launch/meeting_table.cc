@@ -2,7 +2,6 @@
 #include "launch/meeting_table.h"
 
 #include <algorithm>
-#include <cstdlib>
 
 #include <fmt/format.h>
 

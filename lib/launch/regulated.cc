@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "launch/regulated.h"
 
-#include <algorithm>
 #include <charconv>
 #include <sstream>
 

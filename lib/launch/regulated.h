@@ -3,7 +3,6 @@
 // "Enforcement").
 #pragma once
 
-#include <cstdint>
 #include <set>
 #include <string>
 #include <vector>

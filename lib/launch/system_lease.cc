@@ -2,7 +2,6 @@
 #include "launch/system_lease.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstring>
 
 #include <unistd.h>

@@ -7,7 +7,6 @@
 
 #include "model/json.h"
 #include "model/json_parts.h"
-#include "model/periodic.h"
 
 namespace xauto {
 namespace {

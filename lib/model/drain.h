@@ -3,7 +3,6 @@
 // next table's releases meet no job of the one before (docs/keys.md, "A change that drains").
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 
 #include "model/tables.h"

@@ -3,8 +3,6 @@
 // look like at all: json_document.h.
 #include "model/json.h"
 
-#include <cstdint>
-
 #include "base/log.h"
 #include "model/json_parts.h"
 #include "model/json_value.h"

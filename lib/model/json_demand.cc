@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // demand.json
-#include <cstdint>
 
 #include "model/components.h"
 #include "model/demand.h"

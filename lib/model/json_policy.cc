@@ -2,7 +2,6 @@
 // policy.json
 #include <cstdint>
 
-#include "model/claims.h"
 #include "model/json.h"
 #include "model/json_parts.h"
 

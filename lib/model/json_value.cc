@@ -199,8 +199,4 @@ std::string Json::dump(int indent) const {
                                             ordered_json::error_handler_t::replace);
 }
 
-std::string Json::dump_ascii() const {
-  return JsonCodec::to_document(*this).dump(-1, ' ', true, ordered_json::error_handler_t::replace);
-}
-
 }  // namespace xauto

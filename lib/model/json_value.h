@@ -80,7 +80,6 @@ class Json {
 
   /// Lines with an indent of so many spaces, or one line. What is no UTF-8 is replaced.
   [[nodiscard]] std::string dump(int indent = -1) const;
-  [[nodiscard]] std::string dump_ascii() const;  ///< one line
 
  private:
   friend struct JsonCodec;

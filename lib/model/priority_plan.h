@@ -44,13 +44,8 @@ struct PriorityPlan {
   bool operator==(const PriorityPlan&) const = default;
 };
 
-/// What can be said without a simulator: the policy is for this app (name and hash), every XNode is
-/// on an XPU of a type it has an implementation for, priorities are unique per XPU, order pairs are
-/// between XNodes of one XPU and acyclic together with the edges, times are in range.
 /// Order pairs: of XNodes that are there, on one XPU (`xpu_of`), each once, without a cycle with the edges.
 [[nodiscard]] Status validate_order(const std::vector<std::pair<int, int>>& order,
                                     const std::vector<int>& xpu_of, const AppSpec& app);
-[[nodiscard]] Status validate(const PriorityPlan& policy, const AppSpec& app,
-                              const Platform& platform);
 
 }  // namespace xauto

@@ -7,7 +7,6 @@
 #include "base/index.h"
 #include "model/contention.h"
 #include "model/demand.h"
-#include "model/periodic.h"
 #include "model/refusal.h"
 
 namespace xauto {

@@ -2,7 +2,6 @@
 #include "processes/parameters.h"
 
 #include <algorithm>
-#include <bit>
 #include <cstring>
 #include <map>
 #include <optional>

@@ -7,7 +7,6 @@
 #include <deque>
 #include <memory>
 #include <optional>
-#include <string>
 #include <thread>
 #include <vector>
 

@@ -6,7 +6,6 @@
 #include <array>
 #include <concepts>
 #include <cstdlib>
-#include <limits>
 #include <type_traits>
 
 #include <unistd.h>
@@ -14,7 +13,6 @@
 #include "base/memory_file.h"
 #include "model/json.h"
 #include "model/json_value.h"
-#include "model/periodic.h"
 #include "session/run_report.h"
 
 namespace xauto::runtime {

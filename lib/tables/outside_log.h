@@ -7,7 +7,6 @@
 // that flutters fills no log. What is not said is counted.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <utility>
 
-#include <fmt/format.h>
 #include <uapi/xauto/event.h>
 
 #include "base/clock.h"

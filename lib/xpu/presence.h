@@ -4,7 +4,6 @@
 // the app computes there itself (`real_on` in app.json). Flags and the platform file go before.
 #pragma once
 
-#include <cstdint>
 #include <map>
 #include <string>
 #include <vector>

@@ -11,7 +11,6 @@
 #pragma once
 
 #include <cstdint>
-#include <vector>
 
 #include "solver/keys/problem.h"
 #include "solver/keys/windows.h"

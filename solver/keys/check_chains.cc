@@ -16,7 +16,6 @@
 #include "solver/keys/check_chains.h"
 
 #include <algorithm>
-#include <numeric>
 #include <set>
 #include <unordered_map>
 #include <utility>

@@ -2,7 +2,6 @@
 #include "solver/keys/check_contention.h"
 
 #include <algorithm>
-#include <map>
 #include <numeric>
 #include <set>
 

@@ -2,7 +2,6 @@
 #include "solver/keys/demand.h"
 
 #include <algorithm>
-#include <utility>
 
 namespace xauto::solver::keys {
 namespace {

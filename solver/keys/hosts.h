@@ -9,8 +9,6 @@
 // Threads: as solve.h.
 #pragma once
 
-#include <vector>
-
 #include "solver/keys/solve.h"
 
 namespace xauto::solver::keys {

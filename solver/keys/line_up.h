@@ -6,7 +6,6 @@
 // It is a plan of the first releases, and nothing is claimed of it: the search simulates and certifies.
 #pragma once
 
-#include <utility>
 #include <vector>
 
 #include "solver/keys/problem.h"

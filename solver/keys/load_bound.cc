@@ -5,7 +5,6 @@
 #include <bit>
 #include <cmath>
 #include <deque>
-#include <limits>
 #include <queue>
 #include <utility>
 

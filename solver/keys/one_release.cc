@@ -60,8 +60,8 @@ void add_deadlines(const AppSpec& app, const Problem& p, Objectives& wishes) {
       if (std::find(heard.begin(), heard.end(), chain.source) == heard.end() ||
           (i != chain.to && !p.before(i, chain.to)))
         continue;
-      wishes.chains.push_back({chain.name, p.xnode_name[at(i)], p.xnode_name[at(chain.to)],
-                               app.chains[c].deadline_us, 0});
+      wishes.chains.push_back(
+          {chain.name, p.xnode_name[at(i)], p.xnode_name[at(chain.to)], app.chains[c].deadline_us});
       break;
     }
   }

@@ -9,6 +9,7 @@
 #include "base/index.h"
 #include "model/claims.h"
 
+#include "reference/valid_plan.h"
 #include "reference/verify_world.h"
 
 namespace xauto::solver {
@@ -146,9 +147,7 @@ class Check {
       else
         shown(what + ": " + us(latency) + (deadline ? " of " + us(*deadline) : ""));
     };
-    const std::optional<Us> whole =
-        options_.asked.deadline_us ? options_.asked.deadline_us : app_.deadline_us;
-    if (whole) tell("the deadline", v_.latency_us, whole);
+    if (app_.deadline_us) tell("the deadline", v_.latency_us, app_.deadline_us);
     for (const ChainWish& chain : options_.asked.chains) {
       const int to = asked_xnode(chain.to);
       if (asked_xnode(chain.from) < 0 || to < 0) continue;
@@ -493,7 +492,7 @@ class Check {
 Verification verify(const AppSpec& app, const Platform& platform, const PriorityPlan& policy,
                     const VerifyOptions& options) {
   for (const Status& status : {validate_graph(app), validate(platform), validate_on(app, platform),
-                               validate(policy, app, platform)})
+                               reference::validate_plan(policy, app, platform)})
     if (!status) {
       Verification answer;  // nothing else can be derived from it
       answer.lies.push_back(status.error().to_string());

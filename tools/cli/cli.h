@@ -9,7 +9,6 @@
 // What is given is written into the variables, so they live until parse() has returned.
 #pragma once
 
-#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>

@@ -4,9 +4,7 @@
 // listens, and what they say is text.
 #pragma once
 
-#include <cstdint>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <xauto/result.h>

@@ -2,10 +2,7 @@
 // xauto check: is every number of a policy.json true, and does it do what was asked for (pins,
 // groups, deadlines)? Exit status 1 and each lie or miss by name if not.
 #include <algorithm>
-#include <iostream>
 #include <memory>
-
-#include <fmt/format.h>
 
 #include "model/json.h"
 #include "model/json_value.h"

@@ -2,8 +2,6 @@
 // xauto compare: one app under several policies, side by side: the table, report.json,
 // report.html, a Perfetto trace each.
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <filesystem>
 #include <iostream>
 

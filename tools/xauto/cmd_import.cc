@@ -7,8 +7,6 @@
 #include <iostream>
 #include <memory>
 
-#include <fmt/format.h>
-
 #include "base/columns.h"
 #include "model/imported.h"
 #include "model/json.h"

@@ -2,7 +2,6 @@
 // xauto param: the parameters and scenarios of a run that goes on. They are read from its counts, as
 // `xauto top` does; to change one the run's tool is asked.
 #include <array>
-#include <atomic>
 #include <chrono>
 #include <iostream>
 #include <thread>

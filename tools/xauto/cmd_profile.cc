@@ -14,7 +14,6 @@
 #include "base/log.h"
 #include "model/asked.h"
 #include "model/json.h"
-#include "model/periodic.h"
 
 #include "xauto/command.h"
 #include "xauto/emulation.h"

@@ -17,7 +17,6 @@
 #include "xauto/parts.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
-#include "xauto/tables.h"
 
 namespace xauto::cli {
 namespace {

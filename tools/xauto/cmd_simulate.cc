@@ -1,13 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto simulate: what a policy does, to the microsecond, without running anything.
-#include <algorithm>
-#include <iostream>
 #include <memory>
 
-#include <fmt/format.h>
-
-#include "model/json.h"
-#include "model/json_value.h"
 #include "solver/simulate.h"
 
 #include "xauto/command.h"

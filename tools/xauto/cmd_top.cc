@@ -11,7 +11,6 @@
 #include <span>
 #include <thread>
 
-#include <fmt/format.h>
 #include <unistd.h>
 
 #include "base/clock.h"

@@ -13,7 +13,6 @@
 #include "base/index.h"
 #include "base/number.h"
 #include "base/quantile.h"
-#include "model/claims.h"
 #include "model/imported.h"
 #include "model/json.h"
 #include "model/json_value.h"

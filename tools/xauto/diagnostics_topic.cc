@@ -2,7 +2,6 @@
 #include "xauto/diagnostics_topic.h"
 
 #include <ctime>
-#include <utility>
 
 #include <diagnostic_msgs/msg/diagnostic_array.h>
 

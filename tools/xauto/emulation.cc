@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xauto/emulation.h"
 
-#include <algorithm>
 #include <sstream>
 
 #include "base/log.h"

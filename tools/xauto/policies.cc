@@ -717,10 +717,6 @@ void show(SearchLine& line, const keys::Progress& progress) {
           : "sum of worst cases " + ms_of(progress.sum));
 }
 
-}  // namespace
-
-namespace {
-
 /// HEFT and the like: priorities.
 Result<int> solve_baseline(const AppSpec& app, const Platform& platform, const keys::Options& asked,
                            const std::string& out, const Options& options) {
@@ -750,10 +746,6 @@ Result<int> solve_baseline(const AppSpec& app, const Platform& platform, const k
   return outputs.status(kDone);
 }
 
-}  // namespace
-
-namespace {
-
 Json json_of(const Apps& apps, const Platform& platform, const Policy& policy) {
   if (!apps.several()) return Json::parse(to_json(policy, apps.all, platform)).value_or(Json());
   Json root = {{"schema", "xauto.policies"}, {"version", 1}, {"policies", Json::array()}};
@@ -763,10 +755,6 @@ Json json_of(const Apps& apps, const Platform& platform, const Policy& policy) {
         Json::parse(to_json(parts[a], apps.each[a], platform)).value_or(Json()));
   return root;
 }
-
-}  // namespace
-
-namespace {
 
 /// What knows one computer is not asked of several.
 Status known_on_hosts(const Platform& platform, const keys::Options& asked,

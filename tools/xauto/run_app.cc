@@ -3,10 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
-#include <numeric>
-#include <set>
 
 #include <fmt/format.h>
 #include <signal.h>

@@ -22,12 +22,12 @@
 #include "kernel/queue_files.h"
 
 #include "guest.h"
+#include "queue_events.h"
 
 using namespace std::chrono_literals;
-using guest::has, guest::text_of;
+using guest::has, guest::QueueEvents, guest::text_of;
 using xauto::emu::DriverQueue;
 using xauto::kernel::QueueControl;
-using xauto::kernel::QueueEvents;
 using xauto::kernel::QueueOp;
 using xauto::kernel::QueueType;
 

@@ -20,14 +20,14 @@
 #include "emu/driver_queue.h"
 #include "kernel/queue_control.h"
 
+#include "queue_events.h"
 #include "raw.h"
 
 using namespace std::chrono_literals;
-using guest::eventually, guest::has, guest::text_of;
+using guest::eventually, guest::has, guest::QueueEvents, guest::text_of;
 using raw::UniqueFd;
 using xauto::ErrorCode;
 using xauto::kernel::QueueControl;
-using xauto::kernel::QueueEvents;
 using xauto::kernel::QueueInfo;
 using xauto::kernel::QueueOp;
 using xauto::kernel::QueueType;
@@ -57,9 +57,9 @@ void reload(const char* parameters) {
 }
 
 /// All events of a kind that come within the time; the others are dropped.
-std::vector<xauto::kernel::QueueEvent> events_of(QueueEvents& events, xauto_kevent kind,
-                                                 int quiet_ms = 200) {
-  std::vector<xauto::kernel::QueueEvent> found;
+std::vector<guest::QueueEvent> events_of(QueueEvents& events, xauto_kevent kind,
+                                         int quiet_ms = 200) {
+  std::vector<guest::QueueEvent> found;
   for (;;) {
     const auto event = events.next(quiet_ms);
     if (!event || !*event) return found;

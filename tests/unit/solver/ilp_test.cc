@@ -3,21 +3,18 @@
 
 #include <atomic>
 #include <chrono>
-#include <filesystem>
-#include <fstream>
-#include <sstream>
 
 #include <gtest/gtest.h>
 
 #include "solver/bounds.h"
 #include "solver/generate.h"
 #include "solver/objectives.h"
-#include "solver/paper_model.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"
 
 #include "brute_force.h"
 #include "problem_random.h"
+#include "reference/paper_model.h"
 
 namespace xauto::solver::test {
 namespace {
@@ -40,7 +37,7 @@ TEST(Ilp, EqualsBruteForceWherePreemptionIsFree) {
     const Problem p = *Problem::create(app, platform);
     const auto answer = solve_ilp(p, {.time_limit_s = 200});
     ASSERT_TRUE(answer);
-    ASSERT_TRUE(answer->finished) << "round " << round << ": " << answer->status;
+    ASSERT_TRUE(answer->finished) << "round " << round;
     ASSERT_EQ(answer->makespan, brute_force(p).makespan) << "round " << round;
     ASSERT_TRUE(answer->proven);
   }
@@ -135,7 +132,7 @@ TEST(Ilp, OfTwentyXNodesAllIsProvenAndKeepsThePapersEquations) {
       generating.seed = seed;
       const Problem p = *Problem::create(*generate(generating), without_costs(name));
       const auto answer = solve_ilp(p, {.time_limit_s = 200});
-      ASSERT_TRUE(answer && answer->proven) << name << " " << seed << ": " << answer->status;
+      ASSERT_TRUE(answer && answer->proven) << name << " " << seed;
       better += answer->model_makespan > 0;
       const Simulation schedule = simulate(p, *answer->decision);
       EXPECT_EQ(broken_equation(p, schedule.xpu, schedule.start, schedule.finish, answer->bound),
@@ -203,7 +200,7 @@ TEST(Ilp, EndsBeforeItsLimitOnlyWithAProof) {
       const auto answer = solve_ilp(p, {.time_limit_s = 1});
       ASSERT_TRUE(answer);
       const auto took = std::chrono::steady_clock::now() - began;
-      EXPECT_TRUE(answer->finished || took >= std::chrono::seconds(1)) << answer->status;
+      EXPECT_TRUE(answer->finished || took >= std::chrono::seconds(1));
       EXPECT_LE(answer->bound, answer->makespan);
     }
 }
@@ -251,25 +248,6 @@ TEST(Ilp, PreemptionCostsCanMakeTheModelsMakespanImpossible) {
   EXPECT_EQ(brute_force(p).makespan, 9);
   EXPECT_EQ(answer->makespan, 9);
   EXPECT_FALSE(answer->proven);
-}
-
-TEST(Ilp, ModelHasEveryEquationByNameAndSymmetryIsBroken) {
-  GenerateOptions generating;
-  generating.nodes = 5;
-  const AppSpec app = *generate(generating);
-  const Problem p = *Problem::create(app, *Platform::builtin("small"));
-  IlpOptions options{.time_limit_s = 0.01};
-  const auto path = std::filesystem::temp_directory_path() / "xauto-ilp-test.lp";
-  options.write_model = path.string();
-  Dice dice(1);
-  options.incumbent = random_decision(dice, p);
-  ASSERT_TRUE(solve_ilp(p, options));
-  std::stringstream text;
-  text << std::ifstream(path).rdbuf();
-  for (const char* row : {"eq1_0:", "eq2_", "eq3_0:", "eq4a_", "eq4b_", "eq4_", "eq5_", "eq5c_",
-                          "eq6_0:", "symmetry_"})
-    EXPECT_NE(text.str().find(row), std::string::npos) << row;
-  std::filesystem::remove(path);
 }
 
 TEST(Ilp, StopFlagEndsItWithTheIncumbent) {

@@ -15,6 +15,7 @@
 
 #include "naive_simulator.h"
 #include "problem_random.h"
+#include "reference/valid_plan.h"
 
 namespace xauto::solver {
 namespace {
@@ -110,7 +111,7 @@ TEST(Solve, StopsAtOnceWhenToldAndStillAnswers) {
   options.stop = &stop;
   const auto policy = solve(app, platform, options);
   ASSERT_TRUE(policy.has_value());
-  EXPECT_TRUE(validate(*policy, app, platform).has_value());
+  EXPECT_TRUE(reference::validate_plan(*policy, app, platform).has_value());
 }
 
 TEST(Solve, RefusesAnUnknownMethodByName) {

@@ -185,31 +185,6 @@ TEST(Simulate, ShorterExecutionCanLengthenTheMakespan) {
   EXPECT_TRUE(found);
 }
 
-TEST(Simulate, SimulatorForRepeatedRunsGivesTheSameAnswers) {
-  Dice dice(4);
-  for (int round = 0; round < 300; ++round) {
-    const Platform platform = random_platform(dice, {});
-    const AppSpec app = random_app(dice, {}, platform);
-    const Problem p = *Problem::create(app, platform);
-    Simulator simulator(p);
-    for (int again = 0; again < 4; ++again) {
-      Decision d = random_decision(dice, p);
-      if (again == 2) add_random_order(dice, p, d, 20);
-      simulator.set(d);
-      std::vector<Time> actual;
-      for (int i = 0; i < p.num_xnodes; ++i)
-        actual.push_back(
-            dice.roll(0, static_cast<int>(p.wcet_on(i, d.xpu[static_cast<std::size_t>(i)]))));
-      ASSERT_EQ(simulator.run(), simulate(p, d).makespan);
-      ASSERT_EQ(simulator.run(actual), simulate(p, d, {.actual = actual}).makespan);
-      const Simulation s = simulate(p, d);
-      ASSERT_EQ(simulator.run(), s.makespan);
-      for (int i = 0; i < p.num_xnodes; ++i)
-        ASSERT_EQ(simulator.finish(i), s.finish[static_cast<std::size_t>(i)]);
-    }
-  }
-}
-
 TEST(Simulate, FreePreemptionAndPrioritiesByFinishHaveNoAnomalies) {
   // The theorem of docs/ilp.md: whatever schedule the finishes come from, nothing ends later.
   Dice dice(9);

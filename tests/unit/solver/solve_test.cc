@@ -154,19 +154,15 @@ TEST(Solve, TheFirstProgressIsAnAnswerNoWorseThanHeft) {
   for (const int nodes : {10, 40, 120}) {
     const AppSpec app = synthetic(nodes, 9);
     SolveOptions options;
-    SolveReport report;
     std::vector<Progress> seen;
     options.max_evaluations = 2000;
     options.time_limit_s = 1e9;
-    options.report = &report;
     options.on_progress = [&](const Progress& progress) { seen.push_back(progress); };
     const auto policy = solve(app, platform, options);
     ASSERT_TRUE(policy.has_value());
     ASSERT_FALSE(seen.empty());
     EXPECT_LE(seen.front().incumbent, heft_latency(app, platform));
-    EXPECT_LE(report.first_latency_us, heft_latency(app, platform));
     EXPECT_GE(seen.front().incumbent, policy->latency_us);
-    EXPECT_GT(report.first_answer_ms, 0);
   }
 }
 

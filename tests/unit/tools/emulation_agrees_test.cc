@@ -15,6 +15,7 @@
 #include "solver/solve.h"
 
 #include "bench/synthetic/emulate.h"
+#include "bench/synthetic/time_sharing.h"
 
 namespace xauto {
 namespace {
@@ -76,7 +77,7 @@ std::vector<std::int64_t> emulate(const AppSpec& app, const Platform& platform,
   return finish;
 }
 
-void compare(solver::Model model) {
+void compare(bench::Sharing sharing) {
   const Platform platform = *Platform::builtin("large");
   for (unsigned seed = 0; seed < 500; ++seed) {
     std::mt19937 random(seed);
@@ -91,9 +92,8 @@ void compare(solver::Model model) {
       decision.xpu.push_back(m);
       decision.priority.push_back(i);
     }
-    const solver::Simulation simulated =
-        solver::simulate_shared(*problem, platform, model, decision);
-    EXPECT_EQ(emulate(app, platform, simulated.xpu, model == solver::Model::kRos2),
+    const solver::Simulation simulated = bench::share_time(*problem, platform, sharing, decision);
+    EXPECT_EQ(emulate(app, platform, simulated.xpu, sharing == bench::Sharing::kRos2),
               simulated.finish)
         << "seed " << seed;
   }
@@ -163,10 +163,10 @@ TEST(EmulationAgrees, UnderTheCoordinatorsDecisionsWithTheRuleThatPoliciesArePla
 }
 
 TEST(EmulationAgrees, WithTheSimulatorsRos2Model) {
-  compare(solver::Model::kRos2);
+  compare(bench::Sharing::kRos2);
 }
 TEST(EmulationAgrees, WithTheSimulatorsTimesharing) {
-  compare(solver::Model::kTimeshare);
+  compare(bench::Sharing::kTimeshare);
 }
 
 }  // namespace

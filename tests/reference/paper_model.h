@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The paper's model, equations 1-6, whole: docs/ilp.md has every row in its notation. ilp.cc solves it window by window;
-// what is written out is this, and tests hold ilp.cc against it. Private to ilp*.cc.
+// The paper's model, equations 1-6, whole: docs/ilp.md has every row in its notation. solver/ilp.cc solves it window by
+// window; tests hold it against this.
 #pragma once
 
 #include <vector>

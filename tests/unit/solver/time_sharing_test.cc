@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "bench/synthetic/time_sharing.h"
+
 #include <deque>
 
 #include <gtest/gtest.h>
-
-#include "solver/simulate.h"
 
 #include "problem_random.h"
 
 namespace xauto::solver::test {
 namespace {
+
+using bench::share_time, bench::Sharing;
 
 AppSpec singles(const std::vector<std::map<std::string, std::int64_t, std::less<>>>& wcets) {
   AppSpec app;
@@ -26,74 +28,73 @@ Platform cpus(int count) {
   return platform;
 }
 
-TEST(SimulateShared, TwoXNodesOnOneCpuProgressAtHalfSpeed) {
+TEST(TimeSharing, TwoXNodesOnOneCpuProgressAtHalfSpeed) {
   const Platform platform = cpus(1);
   const Problem p = *Problem::create(singles({{{"cpu", 10}}, {{"cpu", 4}}}), platform);
-  const Simulation s = simulate_shared(p, platform, Model::kTimeshare, {{0, 0}, {2, 1}, {}});
+  const Simulation s = share_time(p, platform, Sharing::kTimeshare, {{0, 0}, {2, 1}, {}});
   EXPECT_EQ(s.finish, (std::vector<Time>{14, 8}));
 }
 
-TEST(SimulateShared, Ros2PoolsTheCpusAndAnXNodeNeverGetsMoreThanOne) {
+TEST(TimeSharing, Ros2PoolsTheCpusAndAnXNodeNeverGetsMoreThanOne) {
   const Platform platform = cpus(2);
   const Problem p = *Problem::create(singles({{{"cpu", 6}}, {{"cpu", 6}}, {{"cpu", 7}}}), platform);
   // 2/3 speed until 9, when the third has 1 left and a core for itself.
-  EXPECT_EQ(simulate_shared(p, platform, Model::kRos2, {}).finish, (std::vector<Time>{9, 9, 10}));
+  EXPECT_EQ(share_time(p, platform, Sharing::kRos2, {}).finish, (std::vector<Time>{9, 9, 10}));
 }
 
-TEST(SimulateShared, ResultsAreRoundedUpToMicroseconds) {
+TEST(TimeSharing, ResultsAreRoundedUpToMicroseconds) {
   const Platform platform = cpus(2);
   const Problem p = *Problem::create(singles({{{"cpu", 1}}, {{"cpu", 1}}, {{"cpu", 1}}}), platform);
-  EXPECT_EQ(simulate_shared(p, platform, Model::kRos2, {}).makespan, 2);  // 1.5
+  EXPECT_EQ(share_time(p, platform, Sharing::kRos2, {}).makespan, 2);  // 1.5
 }
 
-TEST(SimulateShared, Ros2TakesTheFastestTypeAndTiesTheFirstOfThePlatform) {
+TEST(TimeSharing, Ros2TakesTheFastestTypeAndTiesTheFirstOfThePlatform) {
   Platform platform = cpus(1);
   platform.xpus.push_back({"gpu0", "gpu", true, 2, 4, -1});
   const Problem p =
       *Problem::create(singles({{{"cpu", 10}, {"gpu", 9}}, {{"cpu", 5}, {"gpu", 5}}}), platform);
-  const Simulation s = simulate_shared(p, platform, Model::kRos2, {});
+  const Simulation s = share_time(p, platform, Sharing::kRos2, {});
   EXPECT_EQ(s.xpu, (std::vector<int>{1, 0}));
   EXPECT_EQ(s.finish, (std::vector<Time>{9, 5}));
 }
 
-TEST(SimulateShared, RoundRobinPaysASwitchAtEachChangeOfContext) {
+TEST(TimeSharing, RoundRobinPaysASwitchAtEachChangeOfContext) {
   Platform platform{"p", {{"gpu0", "gpu", true, 1, 4, -1}}};
   const Problem p = *Problem::create(singles({{{"gpu", 6}}, {{"gpu", 5}}}), platform);
   // x0 0-4, switch, x1 5-9, switch, x0 10-12 ends: no switch, x1 12-13.
   const Simulation s =
-      simulate_shared(p, platform, Model::kTimeshare, {{0, 0}, {2, 1}, {}}, {.slices = true});
+      share_time(p, platform, Sharing::kTimeshare, {{0, 0}, {2, 1}, {}}, {.slices = true});
   EXPECT_EQ(s.finish, (std::vector<Time>{12, 13}));
   Time switching = 0;
   for (const Slice& slice : s.slices) switching += slice.switching ? slice.end - slice.begin : 0;
   EXPECT_EQ(switching, 2);
 }
 
-TEST(SimulateShared, SwitchCostOfThePlatformReplacesThePreemptionCost) {
+TEST(TimeSharing, SwitchCostOfThePlatformReplacesThePreemptionCost) {
   Platform platform{"p", {{"gpu0", "gpu", true, 1, 4, 3}}};
   const Problem p = *Problem::create(singles({{{"gpu", 6}}, {{"gpu", 5}}}), platform);
-  EXPECT_EQ(simulate_shared(p, platform, Model::kTimeshare, {{0, 0}, {2, 1}, {}}).makespan, 17);
+  EXPECT_EQ(share_time(p, platform, Sharing::kTimeshare, {{0, 0}, {2, 1}, {}}).makespan, 17);
 }
 
-TEST(SimulateShared, IdealSharingIgnoresSlicesAndCosts) {
+TEST(TimeSharing, IdealSharingIgnoresSlicesAndCosts) {
   Platform platform{"p", {{"gpu0", "gpu", true, 1, 4, -1}}};
   const Problem p = *Problem::create(singles({{{"gpu", 6}}, {{"gpu", 5}}}), platform);
-  SimulateOptions ideal;
-  ideal.ideal_sharing = true;
-  EXPECT_EQ(simulate_shared(p, platform, Model::kTimeshare, {{0, 0}, {2, 1}, {}}, ideal).finish,
-            (std::vector<Time>{11, 10}));
+  EXPECT_EQ(
+      share_time(p, platform, Sharing::kTimeshare, {{0, 0}, {2, 1}, {}}, {.ideal = true}).finish,
+      (std::vector<Time>{11, 10}));
 }
 
-TEST(SimulateShared, NonPreemptiveXpuServesInOrderOfArrival) {
+TEST(TimeSharing, NonPreemptiveXpuServesInOrderOfArrival) {
   Platform platform{"p", {{"gpu0", "gpu", false, 1, 4, -1}}};
   const Problem p = *Problem::create(singles({{{"gpu", 6}}, {{"gpu", 5}}}), platform);
-  EXPECT_EQ(simulate_shared(p, platform, Model::kTimeshare, {{0, 0}, {2, 1}, {}}).finish,
+  EXPECT_EQ(share_time(p, platform, Sharing::kTimeshare, {{0, 0}, {2, 1}, {}}).finish,
             (std::vector<Time>{6, 11}));
 }
 
-TEST(SimulateShared, Ros2JoinsTheInstanceWithTheFewestXNodes) {
+TEST(TimeSharing, Ros2JoinsTheInstanceWithTheFewestXNodes) {
   Platform platform{"p", {{"dla0", "dla", true, 0, 4, 0}, {"dla1", "dla", true, 0, 4, 0}}};
   const Problem p = *Problem::create(singles({{{"dla", 6}}, {{"dla", 5}}, {{"dla", 9}}}), platform);
-  EXPECT_EQ(simulate_shared(p, platform, Model::kRos2, {}).xpu, (std::vector<int>{0, 1, 0}));
+  EXPECT_EQ(share_time(p, platform, Sharing::kRos2, {}).xpu, (std::vector<int>{0, 1, 0}));
 }
 
 /// Round-robin once more, a microsecond at a time.
@@ -144,7 +145,7 @@ std::vector<Time> naive_round_robin(const Problem& p, const Platform& platform, 
   }
 }
 
-TEST(SimulateShared, RoundRobinAgreesWithSteppingThroughEveryMicrosecond) {
+TEST(TimeSharing, RoundRobinAgreesWithSteppingThroughEveryMicrosecond) {
   Dice dice(1);
   for (int round = 0; round < 2000; ++round) {
     Platform platform{"p", {}};
@@ -157,21 +158,21 @@ TEST(SimulateShared, RoundRobinAgreesWithSteppingThroughEveryMicrosecond) {
     const AppSpec app = random_app(dice, shape, platform);
     const Problem p = *Problem::create(app, platform);
     const Decision d = random_decision(dice, p);
-    ASSERT_EQ(simulate_shared(p, platform, Model::kTimeshare, d).finish,
+    ASSERT_EQ(share_time(p, platform, Sharing::kTimeshare, d).finish,
               naive_round_robin(p, platform, d))
         << "round " << round;
   }
 }
 
-TEST(SimulateShared, NothingIsFasterThanItsCriticalPath) {
+TEST(TimeSharing, NothingIsFasterThanItsCriticalPath) {
   Dice dice(2);
   for (int round = 0; round < 500; ++round) {
     const Platform platform = random_platform(dice, {});
     const AppSpec app = random_app(dice, {}, platform);
     const Problem p = *Problem::create(app, platform);
-    for (const Model model : {Model::kRos2, Model::kTimeshare}) {
+    for (const Sharing sharing : {Sharing::kRos2, Sharing::kTimeshare}) {
       const Decision d = random_decision(dice, p);
-      const Simulation s = simulate_shared(p, platform, model, d);
+      const Simulation s = share_time(p, platform, sharing, d);
       for (int i = 0; i < p.num_xnodes; ++i) {
         const auto k = static_cast<std::size_t>(i);
         ASSERT_GE(s.finish[k], s.start[k] + p.wcet_on(i, s.xpu[k]) - 1);  // starts are rounded up

@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// What happens when nobody schedules: CPUs share fairly, everything else takes turns.
-//
 // Time is in nanoseconds inside, so that ideal sharing among n XNodes is exact to n ns; results are
 // rounded up to microseconds. The rules are those of the emulated devices (lib/emu/machine.h), and
 // a test compares the two: XNodes that share an XPU progress at rate min(1, cores / XNodes); XNodes
 // that take turns get a time slice each in order of arrival, and switching to another one while
 // work is left costs switch_us.
+#include "bench/synthetic/time_sharing.h"
+
 #include <algorithm>
 #include <deque>
 #include <limits>
-#include <memory>
 
 #include "base/index.h"
-#include "solver/simulate.h"
 
-namespace xauto::solver {
+namespace xauto::bench {
 namespace {
 
+using solver::Decision, solver::kCannotRun, solver::Problem, solver::Simulation, solver::Slice,
+    solver::Time;
 using Nanos = std::int64_t;
 constexpr Nanos kNoEventNs = std::numeric_limits<Nanos>::max();
 constexpr Nanos kMicro = 1000;
@@ -140,12 +140,12 @@ int fastest_type(const Problem& p, int xnode) {
 
 }  // namespace
 
-Simulation simulate_shared(const Problem& p, const Platform& platform, Model model,
-                           const Decision& decision, const SimulateOptions& options) {
+Simulation share_time(const Problem& p, const Platform& platform, Sharing sharing,
+                      const Decision& decision, const SharingOptions& options) {
   Simulation result;
   std::vector<Resource> resources;
   std::vector<int> resource_of(at(p.num_xpus), -1);  ///< [xpu]
-  const bool ros2 = model == Model::kRos2;
+  const bool ros2 = sharing == Sharing::kRos2;
   int pool = -1;
   for (int m = 0; m < p.num_xpus; ++m) {
     const Xpu& xpu = platform.xpus[at(m)];
@@ -162,12 +162,11 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
     }
     // Not preemptive: nothing switches, each XNode runs to its end; a slice only makes it take
     // turns.
-    const Nanos slice = options.ideal_sharing && xpu.preemptive ? 0
+    const Nanos slice = options.ideal && xpu.preemptive ? 0
                         : !xpu.preemptive ? std::max<Nanos>(1, xpu.timeslice_us * kMicro)
                                           : xpu.timeslice_us * kMicro;
     resource_of[at(m)] = static_cast<int>(resources.size());
-    resources.emplace_back(m, 1, slice,
-                           options.ideal_sharing ? 0 : xpu.effective_switch_us() * kMicro,
+    resources.emplace_back(m, 1, slice, options.ideal ? 0 : xpu.effective_switch_us() * kMicro,
                            xpu.preemptive, options.slices, result.slices);
   }
 
@@ -183,10 +182,9 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
         if (xpu < 0 ||
             resources[at(resource_of[at(m)])].load() < resources[at(resource_of[at(xpu)])].load())
           xpu = m;
-    const Time work = options.actual.empty() ? p.wcet_on(i, xpu) : options.actual[at(i)];
     result.xpu[at(i)] = xpu;
     result.start[at(i)] = micros_up(now);
-    resources[at(resource_of[at(xpu)])].add(i, work * kMicro);
+    resources[at(resource_of[at(xpu)])].add(i, p.wcet_on(i, xpu) * kMicro);
   };
   for (std::size_t i = 0; i < n; ++i) waits_for[i] = static_cast<int>(p.pred[i].size());
   for (int i = 0; i < p.num_xnodes; ++i)
@@ -211,4 +209,4 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
   return result;
 }
 
-}  // namespace xauto::solver
+}  // namespace xauto::bench

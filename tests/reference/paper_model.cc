@@ -1,26 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Times are scaled so that the horizon is 1000: big-M rows and lp_solve's tolerances (1e-9 on rows, 1e-7 on integers)
 // then mean well below a microsecond.
-#include "solver/paper_model.h"
+#include "reference/paper_model.h"
 
 #include <algorithm>
 #include <cmath>
 #include <set>
-#include <string>
 
 #include "solver/bounds.h"
 
 namespace xauto::solver {
-namespace {
-
-std::string tag(const char* what, std::initializer_list<int> indices) {
-  std::string name = what;
-  for (const int i : indices) (name += "_") += std::to_string(i);
-  return name;
-}
-
-}  // namespace
-
 PaperModel::PaperModel(const Problem& problem, Time horizon)
     : p_(problem),
       unit_(static_cast<double>(horizon) / kHorizon),
@@ -53,20 +42,19 @@ Time PaperModel::makespan() const {
 }
 
 void PaperModel::columns() {
-  makespan_ = model_.add_column("T", 0, kHorizon);
+  makespan_ = model_.add_column(0, kHorizon);
   const std::vector<Time> heads = static_heads(p_), tails = static_tails(p_),
                           least = least_wcet(p_);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const auto head = static_cast<double>(heads[at(i)]), tail = static_cast<double>(tails[at(i)]);
     const auto shortest = static_cast<double>(least[at(i)]);
     const double limit = static_cast<double>(horizon_);
-    s_.push_back(model_.add_column(tag("s", {i}), head / unit_, (limit - tail - shortest) / unit_));
-    f_.push_back(
-        model_.add_column(tag("f", {i}), (head + shortest) / unit_, (limit - tail) / unit_));
+    s_.push_back(model_.add_column(head / unit_, (limit - tail - shortest) / unit_));
+    f_.push_back(model_.add_column((head + shortest) / unit_, (limit - tail) / unit_));
   }
   for (int i = 0; i < p_.num_xnodes; ++i)
     for (int m = 0; m < p_.num_xpus; ++m)
-      p_column_.push_back(p_.wcet_on(i, m) == kCannotRun ? 0 : model_.add_binary(tag("p", {i, m})));
+      p_column_.push_back(p_.wcet_on(i, m) == kCannotRun ? 0 : model_.add_binary());
 }
 
 void PaperModel::equation_1() {
@@ -74,14 +62,13 @@ void PaperModel::equation_1() {
     std::vector<Term> row;
     for (int m = 0; m < p_.num_xpus; ++m)
       if (can(i, m)) row.push_back({p(i, m), 1});
-    model_.equal(tag("eq1", {i}), row, 1);
+    model_.equal(row, 1);
   }
 }
 
 void PaperModel::equation_2() {
   for (int i = 0; i < p_.num_xnodes; ++i)
-    for (const int j : p_.pred[at(i)])
-      model_.at_least(tag("eq2", {i, j}), {{s_[at(i)], 1}, {f_[at(j)], -1}}, 0);
+    for (const int j : p_.pred[at(i)]) model_.at_least({{s_[at(i)], 1}, {f_[at(j)], -1}}, 0);
 }
 
 void PaperModel::equation_3() {
@@ -89,7 +76,7 @@ void PaperModel::equation_3() {
     std::vector<Term> row = {{f_[at(i)], 1}, {s_[at(i)], -1}};
     for (int m = 0; m < p_.num_xpus; ++m)
       if (can(i, m)) row.push_back({p(i, m), -w(i, m)});
-    model_.at_least(tag("eq3", {i}), row, 0);
+    model_.at_least(row, 0);
   }
 }
 
@@ -105,7 +92,7 @@ void PaperModel::symmetry() {
       if (!can(i, m)) continue;
       std::vector<Term> row = ahead;
       row.push_back({p(i, m), -1});
-      model_.at_least(tag("symmetry", {i, m}), row, 0);
+      model_.at_least(row, 0);
       ahead.push_back({p(i, m - 1), 1});
     }
   }
@@ -130,17 +117,14 @@ void PaperModel::ordering() {
         a_[cell] = b_[cell] = c_[cell] = 0;
         continue;
       }
-      a_[cell] = model_.add_binary(tag("a", {i, k}));
-      model_.at_least(tag("eq4a", {i, k}),
-                      {{s_[at(i)], 1}, {s_[at(k)], -1}, {a_[cell], kHorizon + one_}}, one_);
-      b_[cell] = model_.add_binary(tag("b", {i, k}));
-      model_.at_least(tag("eq4b", {i, k}),
-                      {{f_[at(i)], 1}, {f_[at(k)], -1}, {b_[cell], kHorizon + one_}}, one_);
-      c_[cell] = model_.add_binary(tag("c", {i, k}));
-      model_.at_least(tag("eq5c", {i, k}),
-                      {{s_[at(i)], 1}, {f_[at(k)], -1}, {c_[cell], kHorizon + one_}}, one_);
+      a_[cell] = model_.add_binary();
+      model_.at_least({{s_[at(i)], 1}, {s_[at(k)], -1}, {a_[cell], kHorizon + one_}}, one_);
+      b_[cell] = model_.add_binary();
+      model_.at_least({{f_[at(i)], 1}, {f_[at(k)], -1}, {b_[cell], kHorizon + one_}}, one_);
+      c_[cell] = model_.add_binary();
+      model_.at_least({{s_[at(i)], 1}, {f_[at(k)], -1}, {c_[cell], kHorizon + one_}}, one_);
       // s_i <= s_k implies s_i <= f_k.
-      model_.at_least(tag("eq5ac", {i, k}), {{c_[cell], 1}, {a_[cell], -1}}, 0);
+      model_.at_least({{c_[cell], 1}, {a_[cell], -1}}, 0);
     }
 }
 
@@ -157,7 +141,7 @@ void PaperModel::equations_4_and_5() {
           if (!can(k, m) || a == 0 || b == 0) continue;
           // d >= wcet_k (p_i + p_j + p_k + a_ik + b_kj - 4); what is fixed to 1 or equal drops
           // out.
-          const int d = model_.add_column(tag("d", {i, j, k, m}), 0, kHorizon);
+          const int d = model_.add_column(0, kHorizon);
           std::vector<Term> row = {{d, 1}};
           double ones = 0;
           const auto when = [&](int column) {
@@ -169,7 +153,7 @@ void PaperModel::equations_4_and_5() {
           if (k != i && k != j) when(p(k, m));
           if (a > 0) when(a);
           if (b > 0) when(b);
-          model_.at_least(tag("eq4", {i, j, k, m}), row, -w(k, m) * (ones - 1));
+          model_.at_least(row, -w(k, m) * (ones - 1));
           capacity.push_back({d, 1});
         }
         // sum d <= f_j - s_i where i and j are on m and s_i <= f_j; a big M for each that fails.
@@ -181,7 +165,7 @@ void PaperModel::equations_4_and_5() {
         unless(p(i, m));
         if (j != i) unless(p(j, m));
         if (c_[ij] > 0) unless(c_[ij]);
-        model_.at_most(tag("eq5", {i, j, m}), capacity, right);
+        model_.at_most(capacity, right);
       }
 }
 
@@ -189,7 +173,7 @@ void PaperModel::equation_6() {
   const std::vector<Time> tails = static_tails(p_);
   for (int i = 0; i < p_.num_xnodes; ++i)
     model_.at_least(
-        tag("eq6", {i}), {{makespan_, 1}, {f_[at(i)], -1}},
+        {{makespan_, 1}, {f_[at(i)], -1}},
         static_cast<double>(tails[at(i)]) / unit_);  // 0 in the paper; no solution is lost
   model_.minimise(makespan_);
 }
@@ -212,7 +196,7 @@ void PaperModel::cuts() {
           h = std::min(h, heads[at(k)]);
           q = std::min(q, tails[at(k)]);
         }
-        model_.at_least(tag("cut_load", {i, j, m}), row, static_cast<double>(h + q) / unit_);
+        model_.at_least(row, static_cast<double>(h + q) / unit_);
       }
   }
   const int n = p_.num_xnodes;
@@ -220,8 +204,8 @@ void PaperModel::cuts() {
     for (int k = 0; k < i; ++k) {
       const std::size_t ik = at(i) * at(n) + at(k), ki = at(k) * at(n) + at(i);
       if (a_[ik] <= 0 || a_[ki] <= 0) continue;
-      model_.at_least(tag("cut_a", {i, k}), {{a_[ik], 1}, {a_[ki], 1}}, 1);
-      model_.at_least(tag("cut_b", {i, k}), {{b_[ik], 1}, {b_[ki], 1}}, 1);
+      model_.at_least({{a_[ik], 1}, {a_[ki], 1}}, 1);
+      model_.at_least({{b_[ik], 1}, {b_[ki], 1}}, 1);
     }
 }
 
