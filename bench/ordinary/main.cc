@@ -192,6 +192,7 @@ Result<std::vector<RatedCase>> cases_of(const Flags& flags) {
 
 Result<int> run(const Flags& flags) {
   XAUTO_ASSIGN(const std::vector<RatedCase> cases, cases_of(flags));
+  if (cases.empty()) return fail(ErrorCode::kNotFound, "no case has this name or kind", "--only");
   All all;
   for (const RatedCase& made : cases) XAUTO_TRY(measure(made, flags, all));
   if (all.p50.empty()) return 1;
