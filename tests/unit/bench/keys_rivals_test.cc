@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "solver/keys/check.h"
+#include "solver/keys/one_release.h"
 
 #include "bench/keys/annealer.h"
 #include "bench/keys/measure.h"
@@ -30,6 +31,22 @@ Policy on_the_cpu(const RatedCase& made) {
   Policy policy{made.app.name, made.app.hash(), "p", "test", {{0, {60'000}}, {0, {2'000}}}, {}, 0};
   policy.chains = {{"x", 60'000, 40'000, false}, {"y", 2'000, 2'000, true}};
   return policy;
+}
+
+/// The plan of one release knows no periods: of two apps that differ in those alone one asks for more than the plan.
+TEST(KeysRivals, FixedPrioritiesAreByPeriodTheShortestFirst) {
+  for (const bool x_is_fast : {false, true}) {
+    RatedCase made = small();
+    if (x_is_fast) std::swap(made.app.sources[0].period, made.app.sources[1].period);
+    solver::SolveOptions options;
+    options.max_evaluations = 100;
+    const auto policy = solver::keys::fixed_priorities(made.app, made.platform, options);
+    ASSERT_TRUE(policy) << policy.error().to_string();
+    EXPECT_TRUE(policy->by_priority());
+    EXPECT_FALSE(policy->certified);
+    EXPECT_TRUE(policy->order.empty());
+    EXPECT_EQ(policy->placements[0].priority > policy->placements[1].priority, x_is_fast);
+  }
 }
 
 TEST(KeysRivals, EachIsWhatItsNameSays) {
