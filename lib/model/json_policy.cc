@@ -66,7 +66,7 @@ void read_urgency(const Reader& x, Placement& p) {
     p.hold_us = read_series(x, "hold_us", false);
     return;
   }
-  for (const char* key : {"key_us", "hold_us", "start_us", "finish_us", "wcet_us"})
+  for (const char* key : {"key_us", "hold_us", "start_us", "finish_us", "wcet_us", "reads_all"})
     if (x.has(key))
       return x[key].refuse("stands beside a priority, of which no time is known",
                            "give the XNode a priority, or keys and their times");
@@ -126,6 +126,7 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
         p.start_us = read_series(x, "start_us", false);
         p.finish_us = read_series(x, "finish_us", false);
         if (x.has("wcet_us")) p.wcet_us = x["wcet_us"].integer(1, kMaxTimeUs);
+        p.reads_all = x.has("reads_all") && x["reads_all"].boolean();
       });
   if (root.has("order")) policy.order = read_pairs(root["order"], index_by_name(app.xnodes));
   read_crossings(root, app, platform, policy);
@@ -201,6 +202,7 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
     if (!p.start_us.empty()) xnode["start_us"] = p.start_us;
     if (!p.finish_us.empty()) xnode["finish_us"] = p.finish_us;
     if (p.wcet_us) xnode["wcet_us"] = *p.wcet_us;
+    if (p.reads_all) xnode["reads_all"] = true;
     xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.policy"},    {"version", kAppVersion},

@@ -31,6 +31,9 @@ struct Placement {
   /// What the proof counts for a job. It is there where the XNode states a WCET beside loads on the type of its XPU, and
   /// is from that alone to the longest (contention.h). Not beside `priority`.
   std::optional<std::int64_t> wcet_us = {};
+  /// Held, it starts early only when all that it samples of other clocks and that is released before its planned start
+  /// has ended. No claim asks for that; it makes chains shorter on an ordinary day (docs/keys.md, "Early start").
+  bool reads_all = false;
   /// In place of all these, the same in every release: larger goes first. Of all XNodes, or of none; unique on each
   /// XPU.
   std::optional<std::int64_t> priority = {};

@@ -63,8 +63,12 @@ Result<std::unique_ptr<EarlyStart>> EarlyStart::make(const AppSpec& app, const P
       for (std::size_t y = 0; y < n; ++y)
         if (y != x && policy.placements[y].xpu == on) rule.mates.push_back(static_cast<int>(y));
     rule.others = apart[x];
-    for (const auto& [u, v] : app.samples)
-      if (at(v) == x) rule.others.push_back(u);
+    for (const auto& [u, v] : app.samples) {
+      if (at(v) != x) continue;
+      rule.others.push_back(u);
+      if (policy.placements[x].reads_all && home(at(u)).clock != home(x).clock)
+        rule.all_of.push_back(u);
+    }
     const auto looks_at = [&](int y) {
       auto& lookers = e.lookers_[at(y)];
       if (lookers.empty() || lookers.back() != x) lookers.push_back(x);
@@ -116,13 +120,13 @@ std::int64_t EarlyStart::earliest_ns(const Releases& of, std::uint64_t n) const 
   return nominal_ns + later_ns - (exact ? 0 : drift_ns(of, std::abs(later_ns))) - of.shift_ns;
 }
 
-coord::Key EarlyStart::first_open(std::size_t xnode) const {
+FirstOpen EarlyStart::first_open(std::size_t xnode) const {
   const std::uint64_t n = lines_[xnode].ended.load();
   std::int64_t release_ns = INT64_MAX;
   for (const std::size_t s : sources_[xnode])
     release_ns = std::min(release_ns, earliest_ns(releases_[s], n));
-  if (release_ns == INT64_MIN || release_ns == INT64_MAX) return INT64_MIN;
-  return keys_[xnode].key(release_ns, n, true);
+  if (release_ns == INT64_MIN || release_ns == INT64_MAX) return {INT64_MIN, INT64_MIN};
+  return {release_ns, keys_[xnode].key(release_ns, n, true)};
 }
 
 bool EarlyStart::may_start(std::size_t xnode, const PlannedJob& job) const {

@@ -37,7 +37,14 @@ struct EarlyRule {
   std::vector<int> mates;
   /// What it reads, and those on other XPUs that the plan keeps it apart from.
   std::vector<int> others;
-  bool never = false;  ///< it waits to the end
+  std::vector<int> all_of;  ///< of other clocks; Placement::reads_all
+  bool never = false;       ///< it waits to the end
+};
+
+/// Of the first activation of an XNode that has not ended, at the earliest.
+struct FirstOpen {
+  std::int64_t release_ns = 0;  ///< nominal
+  coord::Key key = 0;
 };
 
 /// A job that waits.
@@ -46,15 +53,16 @@ struct PlannedJob {
   std::int64_t start_ns = 0;
 };
 
-/// Whether it may start before its planned start. Pure; `first_open(xnode)`: the key of the first activation of it that
-/// has not ended, at the earliest.
+/// Whether it may start before its planned start. Pure; `first_open(xnode)` is a FirstOpen.
 template <class Of>
 [[nodiscard]] bool may_start_early(const EarlyRule& rule, const PlannedJob& job, Of first_open) {
   if (rule.never) return false;
   for (const int x : rule.mates)
-    if (first_open(x) <= job.key) return false;
+    if (first_open(x).key <= job.key) return false;
   for (const int x : rule.others)
-    if (first_open(x) <= job.start_ns) return false;
+    if (first_open(x).key <= job.start_ns) return false;
+  for (const int x : rule.all_of)
+    if (first_open(x).release_ns < job.start_ns) return false;
   return true;
 }
 
@@ -118,7 +126,7 @@ class EarlyStart {
   void write(Releases& of, std::uint64_t n, std::int64_t nominal_ns, bool exact);
   [[nodiscard]] std::int64_t drift_ns(const Releases& of, std::int64_t span_ns) const;
   [[nodiscard]] std::int64_t earliest_ns(const Releases& of, std::uint64_t n) const;
-  [[nodiscard]] coord::Key first_open(std::size_t xnode) const;
+  [[nodiscard]] FirstOpen first_open(std::size_t xnode) const;
   void count(std::size_t xnode, std::uint64_t activations);
 
   PlannedStarts planned_us_;

@@ -408,18 +408,19 @@ class Play {
     d.look = true;
   }
 
-  /// The key of the first activation of `x` that has not ended, at the earliest.
-  [[nodiscard]] Atoms first_open(int x) const {
+  /// The earliest at which the first activation of `x` that has not ended is released, and its key.
+  [[nodiscard]] std::pair<Atoms, Atoms> first_open(int x) const {
     const std::int64_t n = done_[at(x)];
     const auto& [last, when] = released_[at(w_.component_of[at(x)])];
     const Component& c = w_.home(x);
     const Placement& p = w_.policy.placements[at(x)];
-    if (n <= last) return jobs_[at(x)].front().key;
+    if (n <= last) return {0, jobs_[at(x)].front().key};
     // Not released: its clock may be fast.
     const Atoms release =
         when + (n - last) * c.period * (kMillion - w_.app.clocks[at(c.clock)].ppm);
     const Atoms sooner = w_.hears_urgent[at(x)] ? c.urgent_by * kMillion : 0;
-    return release + atoms(p.key_us[static_cast<std::size_t>(n) % p.key_us.size()]) - sooner;
+    return {release,
+            release + atoms(p.key_us[static_cast<std::size_t>(n) % p.key_us.size()]) - sooner};
   }
 
   /// A run knows nothing of the keys to come of another one.
@@ -435,13 +436,17 @@ class Play {
     const Xpu& xpu = w_.platform.xpus[m];
     if (!xpu.preemptive || xpu.preempt_us > 0 || xpu.levels > 0)
       for (const int x : devices_[m].xnodes)
-        if (x != xnode && (of_another_app(x, xnode) ? xpu.preemptive : first_open(x) <= j.key))
+        if (x != xnode &&
+            (of_another_app(x, xnode) ? xpu.preemptive : first_open(x).second <= j.key))
           return false;
     for (const int x : apart_[at(xnode)])
-      if (first_open(x) <= j.planned) return false;
+      if (first_open(x).second <= j.planned) return false;
     for (const int u : sampled_[at(xnode)]) {
       if (w_.passes(u, xnode) > 0) return false;  // nobody tells whether it is there
-      if (first_open(u) <= j.planned) return false;
+      const auto [release, key] = first_open(u);
+      const bool all =
+          w_.policy.placements[at(xnode)].reads_all && w_.home(u).clock != w_.home(xnode).clock;
+      if (key <= j.planned || (all && release < j.planned)) return false;
     }
     return true;
   }

@@ -20,6 +20,8 @@ constexpr std::int64_t kMostIdle = 20'000;
 /// not needed, which takes longer.
 constexpr double kWorthDropping = 1.02;
 constexpr double kJustAbove = 1 + 1e-9;
+/// Who waits for another clock does so, but where it takes so much of that without.
+constexpr double kWorthReadingLess = 0.98;
 
 /// In microseconds, as they are claimed: of any release, and of an urgent one.
 std::vector<Tick> claimed_by(const Problem& p, const Figures& figures) {
@@ -51,6 +53,8 @@ void Search::least_typical(TypicalPlay& play, const SearchLimits& limits, Keep k
   const std::vector<Tick> claims = claimed_by(p_, best.figures);
   const double most = evaluator_.cost_of(best.figures) * kJustAbove;
   Windows w, next_w;
+  // Who need not wait for another clock is decided at the end.
+  play.set_reads_all(std::vector<char>(at(p_.num_xnodes), 1));
   double least = typical_of(play, best, w);
   Candidate next;
   for (std::int64_t idle = 0; idle < kMostIdle && !over(); ++idle) {
@@ -90,6 +94,31 @@ void least_typical(const AppSpec& app, const Problem& p, std::uint64_t seed, Kee
   if (!play.is_short()) return;
   Search search(p, best.figures.chain, Aim::kSum, seed);
   search.least_typical(play, limits, keep, best);
+}
+
+std::vector<char> readers_of_all(const AppSpec& app, const Problem& p, std::uint64_t seed,
+                                 const Until& until, const Candidate& of) {
+  std::vector<char> readers(at(p.num_xnodes), 0), none = readers;
+  for (const auto& [u, v] : p.samples)
+    if (of_two_clocks(p, u, v)) readers[at(v)] = 1;
+  if (readers == none) return none;
+  TypicalPlay play(app, p, seed);
+  if (!play.is_short()) return none;
+  const auto latency = [&](const std::vector<char>& reads_all) {
+    play.set_reads_all(reads_all);
+    return play.latency(of.decision.xpu, of.figures.w);
+  };
+  std::vector<char> best = readers;
+  double least = latency(best);
+  for (std::size_t v = 0; v < readers.size() && !until.over(); ++v) {
+    if (readers[v] == 0) continue;
+    best[v] = 0;
+    if (const double takes = latency(best); takes == least || takes <= least * kWorthReadingLess)
+      least = takes;
+    else
+      best[v] = 1;
+  }
+  return best;
 }
 
 }  // namespace xauto::solver::keys

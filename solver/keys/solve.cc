@@ -381,6 +381,8 @@ class Solving {
       best = found.best();
       if (!app_.one_at_a_time) make_typical_days_short(*best);
       drop_holds(of(), best->decision.xpu, best->figures.w, times_.holds());
+      if (!app_.one_at_a_time)
+        reads_all_ = readers_of_all(app_, of(), options_.seed, times_.finish, *best);
     }
     tell_bounds(found, shortest);
     if (found.any())
@@ -509,6 +511,8 @@ class Solving {
         p_.domains.size() == 1 && !p_.any_urgent && options_.beside.demands.empty() &&
         predict(counted, best.decision.xpu, best.figures.w, best.figures.schedule, times_.finish);
     answer_.policy = policy_of(app_, platform_, counted, best, predicted, answer_.lower_bound_us);
+    for (std::size_t i = 0; i < reads_all_.size(); ++i)
+      answer_.policy.placements[i].reads_all = reads_all_[i] != 0;
     if (seed_ != nullptr) {
       answer_.policy.order = seed_->policy.order;
       answer_.policy.method = seed_->policy.method;
@@ -535,7 +539,8 @@ class Solving {
   Seeds begins_;
   double least_of_all_ = 0;  ///< no policy has less for its largest
   std::optional<Incumbents> planned_;
-  const Seed* seed_ = nullptr;  ///< of begins_, whose order the best has; null: it has none
+  std::vector<char> reads_all_;  ///< [xnode] of the best; empty: of none
+  const Seed* seed_ = nullptr;   ///< of begins_, whose order the best has; null: it has none
   Answer answer_;
 };
 

@@ -121,6 +121,10 @@ void TypicalPlay::draw(const AppSpec& app, std::uint64_t seed) {
   }
 }
 
+bool of_two_clocks(const Problem& p, int u, int v) {
+  return p.domains[at(p.domain_of(u))].clock != p.domains[at(p.domain_of(v))].clock;
+}
+
 double TypicalPlay::latency(const std::vector<int>& xpu, const Windows& w) {
   xpu_ = &xpu;
   w_ = &w;
@@ -276,19 +280,24 @@ void TypicalPlay::look_early() {
     for (const Ready& held : std::exchange(d.early, {})) look_at(held.xnode, held.number);
 }
 
-/// The key of the first activation that has not ended.
-Tick TypicalPlay::first_open(int x) const {
+/// When the first activation that has not ended is released, and its key.
+std::pair<Tick, Tick> TypicalPlay::first_open(int x) const {
   const std::int64_t n = done_[at(x)];
-  return released(x, n) + w_->d[p_.slot_of(x, n)];
+  const Tick release = released(x, n);
+  return {release, release + w_->d[p_.slot_of(x, n)]};
 }
 
 bool TypicalPlay::may_start_early(int xnode, const Job& job) const {
   const std::size_t m = at((*xpu_)[at(xnode)]);
   if (p_.levels[m] != kAnyLevels || p_.preempt[m] > 0)
     for (const int x : devices_[m].xnodes)
-      if (x != xnode && first_open(x) <= job.key) return false;
-  for (const int u : sampled_[at(xnode)])
-    if (first_open(u) <= job.planned) return false;
+      if (x != xnode && first_open(x).second <= job.key) return false;
+  for (const int u : sampled_[at(xnode)]) {
+    const auto [release, key] = first_open(u);
+    const bool all = !reads_all_.empty() && reads_all_[at(xnode)] != 0;
+    if (key <= job.planned || (all && release < job.planned && of_two_clocks(p_, u, xnode)))
+      return false;
+  }
   return true;
 }
 

@@ -24,6 +24,8 @@ class TypicalPlay {
 
   /// False: the app has too many jobs for it.
   [[nodiscard]] bool is_short() const { return num_scenes_ > 0; }
+  /// [xnode] Placement::reads_all; empty: of none. From the next play on.
+  void set_reads_all(std::vector<char> of) { reads_all_ = std::move(of); }
   /// The weighted sum of each chain's quadratic mean / Chain::by. `w`: keys and holds.
   [[nodiscard]] double latency(const std::vector<int>& xpu, const Windows& w);
 
@@ -80,7 +82,7 @@ class TypicalPlay {
   void look_at(int xnode, std::int64_t n);
   void look_early();
   [[nodiscard]] bool may_start_early(int xnode, const Job& job) const;
-  [[nodiscard]] Tick first_open(int xnode) const;
+  [[nodiscard]] std::pair<Tick, Tick> first_open(int xnode) const;
   void ends(int xpu);
   void read(int xnode, std::int64_t n);
   void count(int xnode, std::int64_t n);
@@ -89,6 +91,7 @@ class TypicalPlay {
   [[nodiscard]] Tick released(int xnode, std::int64_t n) const;
 
   const Problem& p_;
+  std::vector<char> reads_all_;
   int num_scenes_ = 1;
   Tick warm_ = 0,
        horizon_ = 0;  ///< releases from warm_ on are counted, and to warm_ before the end
@@ -113,6 +116,14 @@ class TypicalPlay {
   std::vector<double> squares_;  ///< [chain] of reaction times
   std::vector<std::int64_t> seen_;
 };
+
+/// Whether the sample (u, v) goes from one clock to another.
+[[nodiscard]] bool of_two_clocks(const Problem& problem, int u, int v);
+
+/// [xnode] Placement::reads_all of `of`: of who samples another clock, where the typical latency is less for it.
+[[nodiscard]] std::vector<char> readers_of_all(const AppSpec& app, const Problem& problem,
+                                               std::uint64_t seed, const Until& until,
+                                               const Candidate& of);
 
 /// Of candidates beside `best`, which is certified, that claim no more of any chain and are certified: that with the
 /// least typical latency, without the holds that are not needed. Deterministic for a seed where `max_evaluations` ends

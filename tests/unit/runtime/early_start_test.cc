@@ -51,6 +51,10 @@ class EarlyExample {
     return x;
   }
   void edge(int u, int v) { app_.edges.emplace_back(u, v); }
+  void reads_all(int reader) {
+    policy_.placements[at(reader)].reads_all = true;
+    early_.reset();
+  }
   void sample(int u, int v) { app_.samples.emplace_back(u, v); }
   void urgent(int source, std::int64_t by_us) {
     app_.sources[at(source)].urgent = UrgentSpec{by_us, 1'000'000};
@@ -216,6 +220,21 @@ TEST(EarlyStart, OfAnotherClockItWaitsForThoseKeysAsWell) {
     EXPECT_EQ(e.may(reader), key_us > 20'000) << "activation 1 has it at 50 ms, or behind it";
     e.ended(read, 1);
     EXPECT_TRUE(e.may(reader));
+  }
+}
+
+TEST(EarlyStart, WhoReadsAllWaitsForAllThatAnotherClockReleasesBefore) {
+  for (const std::int64_t offset_us : {10'000, 9'999}) {
+    EarlyExample e;
+    const int s = e.source(100'000), t = e.source(20'000, 1, offset_us);
+    const int reader = e.xnode("cpu0", {s}, {60'000}, {30'000});
+    const int read = e.xnode("gpu0", {t}, {20'001});
+    e.sample(read, reader);
+    EXPECT_EQ(e.may(reader), offset_us == 10'000) << "activation 0 has its key behind 30 ms";
+    e.reads_all(reader);
+    EXPECT_FALSE(e.may(reader));
+    e.ended(read, 0);
+    EXPECT_EQ(e.may(reader), offset_us == 10'000) << "activation 1 is released at 30 ms, or sooner";
   }
 }
 

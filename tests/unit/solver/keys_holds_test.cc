@@ -78,7 +78,7 @@ TEST(KeysHolds, EachIsNeededForAClaimOrTheCertificate) {
       EXPECT_TRUE(keeps(p, c->policy, c->policy)) << kind << ", seed " << seed;
       for (std::size_t i = 0; i < c->policy.placements.size(); ++i) {
         Policy without = c->policy;
-        auto& [xpu, keys, held, start, finish, counted, priority] = without.placements[i];
+        auto& [xpu, keys, held, start, finish, counted, all, priority] = without.placements[i];
         start.clear();
         finish.clear();
         const std::vector<std::int64_t> before = held;

@@ -233,5 +233,75 @@ TEST(KeysTypical, SolveLooksAtIt) {
   }
 }
 
+/// A reader every 100 ms, held until 30 ms, and what it samples: of another clock, released 10 ms later, there after 15
+/// ms, with a key at 45 ms. No claim counts on that one's being read at 30 ms, so the reader may start at once.
+struct Reading {
+  AppSpec app;
+  Platform platform;
+  Policy policy;
+  Reading() {
+    app.name = "reading";
+    app.clocks = {{"main", 0}, {"other", 0}};
+    app.sources = {{.name = "tick", .period = {100'000, 1}},
+                   {.name = "radar", .period = {100'000, 1}, .offset_us = 10'000, .clock = 1}};
+    const auto add = [&](const char* name, int source, const char* type, std::int64_t us) {
+      XNodeSpec& x = app.xnodes.emplace_back();
+      x.name = x.module = name;
+      x.sources = {source};
+      x.wcet_us[type] = x.typical_us[type] = us;
+      app.modules.push_back({name, 1});
+    };
+    add("reader", 0, "cpu", 1'000);
+    add("read", 1, "gpu", 15'000);
+    app.samples = {{1, 0}};
+    app.chains = {{"own", 0, 0}, {"read", 1, 0}};
+    platform.name = "two";
+    platform.xpus = {{"cpu0", "cpu", true, 0}, {"gpu0", "gpu", true, 0}};
+    policy.platform = platform.name;
+    policy.placements = {{0, {60'000}, {30'000}}, {1, {35'000}}};
+    policy.certified = false;
+  }
+  /// Chain by chain.
+  std::vector<double> medians() {
+    policy.app = app.name;
+    policy.app_hash = app.hash();
+    PlayOptions asked;
+    asked.seconds = 5;
+    std::vector<double> medians;
+    const auto played = play(app, platform, policy, asked);
+    EXPECT_TRUE(played) << played.error().to_string();
+    if (played)
+      for (const PlayedChain& chain : played->chains) medians.push_back(chain.median_us);
+    return medians;
+  }
+  [[nodiscard]] bool chosen() const {
+    const Problem p = Problem::create(app, platform).value();
+    Candidate candidate;
+    candidate.decision.xpu = {0, 1};
+    candidate.figures.w = keys_and_holds(p, policy);
+    EXPECT_TRUE(certify(p, candidate.decision.xpu, candidate.figures.w));
+    const std::vector<char> all = readers_of_all(app, p, 1, {}, candidate);
+    EXPECT_EQ(all[1], 0) << "it reads nothing";
+    return all[0] != 0;
+  }
+};
+
+TEST(KeysTypical, WhoReadsAllOfAnotherClockWaitsForIt) {
+  Reading r;
+  EXPECT_EQ(r.medians(), (std::vector<double>{1'000, 91'000}));
+  r.policy.placements[0].reads_all = true;
+  EXPECT_EQ(r.medians(), (std::vector<double>{26'000, 16'000}));
+}
+
+TEST(KeysTypical, AReaderWaitsForAnotherClockWhereItsChainsAreShorterForIt) {
+  Reading r;
+  EXPECT_TRUE(r.chosen());
+  r.app.chains[0].weight = 1'000;
+  EXPECT_FALSE(r.chosen());
+  r.app.chains[0].weight = 1;
+  r.policy.placements[0].hold_us = {};
+  EXPECT_FALSE(r.chosen()) << "nothing holds it";
+}
+
 }  // namespace
 }  // namespace xauto::solver::keys
