@@ -63,6 +63,7 @@ TEST(Golden, PolicyOfKeysIsWrittenAsItWasRead) {
   EXPECT_EQ(policy->placements[0].hold_us, std::vector<std::int64_t>{1500});
   EXPECT_EQ(policy->placements[4].key_us.size(), 5u);
   EXPECT_TRUE(policy->placements[1].start_us.empty());
+  EXPECT_TRUE(policy->placements[3].reads_all && !policy->placements[4].reads_all);
   EXPECT_EQ(policy->chains[1], (ChainClaim{"steer", 25501, 25501, true}));
   EXPECT_EQ(to_json(*policy, app, platform), text);
 }
