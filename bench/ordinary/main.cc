@@ -20,6 +20,7 @@
 #include "solver/random.h"
 
 #include "bench/keys/generate.h"
+#include "bench/synthetic/report.h"
 
 namespace xauto::bench {
 namespace {
@@ -47,12 +48,6 @@ struct Flags {
 struct Ratios {
   double p50 = 0, p99 = 0;
 };
-
-double geometric_mean(const std::vector<double>& values) {
-  double sum = 0;
-  for (const double value : values) sum += std::log(value);
-  return values.empty() ? 0 : std::exp(sum / static_cast<double>(values.size()));
-}
 
 /// [chain] of all plays the mean of each quantile; an empty one: its backlog grows.
 Result<std::vector<Ratios>> latencies(const AppSpec& app, const Platform& platform,

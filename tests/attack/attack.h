@@ -23,7 +23,7 @@ enum class Early {
   kByTheRule,
   kNever,
   kFromItsHold,  ///< wrong: it looks at the conditions before its hold alone, and not before its planned start
-  kOfTheReleased,   ///< wrong: of the XPU's jobs those of smaller keys that are released
+  kOfTheReleased,  ///< wrong: of the XPU's jobs of smaller keys, and of what it reads, what is released
   kByTheSequence,   ///< wrong: once those have ended that are planned to start before it
   kWithoutSamples,  ///< wrong: whatever it reads
   kOfItsXpu,        ///< wrong where WCETs are counted apart: whatever runs on other XPUs

@@ -249,7 +249,8 @@ class Loss(ByTheMachine, unittest.TestCase):
         if claims["exceeded"] and not claims["broken"]:  # our fault, but where what others took is as long (docs/claims.md)
             over = [chain["exceeded_by"] for chain in report["chains"] if chain["exceeded"]]
             longest = max(one["latency_us"] - one["worst_case_us"] for one in over)
-            self.assertGreaterEqual(sum(one["us"] for one in claims["time_taken"]), longest, (claims, over))
+            taken = sum(one["us"] for one in claims["time_taken"] if not one["what"].endswith("in all") and "in all (" not in one["what"])
+            self.assertGreaterEqual(taken, longest, (claims, over))
 
     def test_each_release_runs_what_its_table_has(self):
         self.judge(self.switch_about())

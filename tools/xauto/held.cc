@@ -108,9 +108,10 @@ Holds holds_of(const AppSpec& app, const Platform& platform, const Policy& polic
   if (holds.list.empty()) return holds;
   const std::int64_t end_ns = now_ns() + static_cast<std::int64_t>(limit_s * 1e9);
   const AppSpec usual = keys::at_usual_times(app);
-  const std::vector<std::int64_t> now = medians_of(usual, platform, policy);
+  std::vector<std::int64_t> now;
   std::size_t tried = 0;
   for (; tried < holds.list.size() && now_ns() < end_ns; ++tried) {
+    if (tried == 0) now = medians_of(usual, platform, policy);
     Held& held = holds.list[tried];
     const Policy without = without_holds(policy, held.xnode);
     if (const auto derived = keys::examine(app, platform, without))

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Early start, played against random policies by the attack, which has the rule by itself.
+#include <cstdlib>
 #include <map>
 
 #include <gtest/gtest.h>
@@ -53,6 +54,40 @@ TEST(KeysEarly, NobodyStartsTooEarlyByTheRule) {
     std::printf("%s: %d of %d broken\n", name, broken[early], made);
     EXPECT_GE(broken[early], 1) << name;
   }
+}
+
+/// Readers of other clocks wait for keys, and for no more. `make check` tries the first tenth.
+TEST(KeysEarly, NobodyReadsTooEarlyOfAnotherClock) {
+  using attack::Early;
+  const std::uint64_t last = std::getenv("XAUTO_FULL") != nullptr ? 1200 : 120;
+  int made = 0, without_samples = 0;
+  for (std::uint64_t seed = 1; seed <= last; ++seed) {
+    attack::Wanted w = several(seed);
+    w.clocks = 2 + static_cast<int>(seed % 2);
+    constexpr std::int64_t kPpm[] = {0, 1000, 20'000, 100};
+    w.ppm = kPpm[seed % 4];
+    w.holds = true;
+    w.order = seed % 5 == 0;
+    w.preemptive = seed % 3 != 0;
+    w.preempt_us = seed % 2 == 0 ? 0 : 40;
+    w.load = seed % 2 == 0 ? 0.45 : 0.75;
+    w.components = 3 + static_cast<int>(seed % 2);
+    auto c = attack::valid(seed, w);
+    if (!c || c->app.samples.empty()) continue;
+    attack::tighten(*c, seed, seed % 3 == 0);
+    ++made;
+    const auto broken = [&](Early early, std::int64_t jobs) {
+      const auto found = attack::attack(c->app, c->platform, c->policy, {jobs, seed, early});
+      EXPECT_FALSE(early == Early::kByTheRule && found.broken())
+          << seed << ": " << found.late << found.chain;
+      return found.broken();
+    };
+    (void)broken(Early::kByTheRule, 40'000);
+    without_samples += broken(Early::kWithoutSamples, 20'000) ? 1 : 0;
+  }
+  std::printf("without samples: %d of %d broken\n", without_samples, made);
+  EXPECT_GE(made, 80);
+  EXPECT_GE(without_samples, 1);
 }
 
 }  // namespace

@@ -130,5 +130,20 @@ TEST(Trace, RefusesDamagedHeaders) {
   EXPECT_FALSE(Writer::create(file->get(), kMaxEvents + 1));
 }
 
+/// An app is linked with a library of its own, which may be another one than the tool's.
+TEST(Trace, OneOfAnotherVersionIsNamed) {
+  auto file = make_memory_file("trace");
+  ASSERT_TRUE(Writer::create(file->get(), 100));
+  const std::uint32_t other = XAUTO_EVENT_VERSION + 1;
+  ASSERT_EQ(pwrite(file->get(), &other, sizeof other, offsetof(Header, version)),
+            static_cast<ssize_t>(sizeof other));
+  const auto found = read(file->get());
+  ASSERT_FALSE(found);
+  EXPECT_NE(found.error().to_string().find("is of version " + std::to_string(other)),
+            std::string::npos)
+      << found.error().to_string();
+  EXPECT_FALSE(Writer::attach(file->get()));
+}
+
 }  // namespace
 }  // namespace xauto::trace
