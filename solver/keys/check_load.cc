@@ -717,46 +717,55 @@ class Load {
     int xnode = -1;
   };
 
-  /// Longest interval that jobs, and one that blocks, can keep busy; nothing if there is no end.
+  /// What arrives once a period.
+  struct Stream {
+    Ticks period, spread, work;
+  };
+
+  /// Longest interval that jobs, and one that blocks, can keep busy; nothing if no end was found. First an XNode is a
+  /// stream of its longest job. Where that is more work than time, since not every job of it pays for a preemption,
+  /// each of its jobs is one, once a turn of its group.
   [[nodiscard]] std::optional<Ticks> busy(Ticks blocked) const {
-    struct Stream {
-      Ticks period, spread, work;
-    };
-    std::vector<Stream> all;
-    __int128 length = blocked, once = 0;
-    for (const Group& g : groups_) {
-      if (g.urgent) {
-        for (const Item& i : g.items) once += i.work;
-        continue;
+    for (const bool each_job : {false, true}) {
+      std::vector<Stream> all;
+      Ticks once = 0;
+      for (const Group& g : groups_) {
+        if (g.urgent)
+          for (const Item& i : g.items) once += i.work;
+        else if (g.other > 0 || each_job)
+          for (const Item& i : g.items) all.push_back({least(g.period, g.ppm), 0, i.work});
+        else
+          add_xnodes(g, all);
       }
-      for (const Item& i : g.items)
-        if (g.other > 0) {
-          all.push_back({least(g.period, g.ppm), 0, i.work});
-          length += i.work;
-        }
-      if (g.other > 0) continue;
-      std::map<int, Stream> of;
-      for (const Item& i : g.items) {
-        Stream& load = of.try_emplace(i.xnode, Stream{least(w_.home(i.xnode).period, g.ppm), 0, 0})
-                           .first->second;
-        load.work = std::max(load.work, i.work);
-      }
-      for (auto& [i, load] : of) {
-        const auto [low, high] = std::ranges::minmax(w_.windows[at(i)], {}, &Window::a);
-        load.spread = high.a - low.a;
-        length += load.work;
-        all.push_back(load);
-      }
+      if (const std::optional<Ticks> end = busy(all, blocked + once)) return end;
     }
-    length += once;
-    for (std::int64_t steps = 0; steps < kMaxPlayed;
+    return {};
+  }
+
+  void add_xnodes(const Group& g, std::vector<Stream>& all) const {
+    std::map<int, Stream> of;
+    for (const Item& i : g.items) {
+      Stream& load = of.try_emplace(i.xnode, Stream{least(w_.home(i.xnode).period, g.ppm), 0, 0})
+                         .first->second;
+      load.work = std::max(load.work, i.work);
+    }
+    for (auto& [i, load] : of) {
+      const auto [low, high] = std::ranges::minmax(w_.windows[at(i)], {}, &Window::a);
+      load.spread = high.a - low.a;
+      all.push_back(load);
+    }
+  }
+
+  static std::optional<Ticks> busy(const std::vector<Stream>& all, Ticks at_first) {
+    __int128 length = at_first;
+    for (const Stream& load : all) length += load.work;
+    for (std::int64_t steps = 0; steps < kMaxPlayed && length <= kMaxTicks;
          steps += static_cast<std::int64_t>(all.size())) {
-      __int128 next = blocked + once;
+      __int128 next = at_first;
       for (const Stream& load : all)
         next += (length + load.spread + load.period - 1) / load.period * load.work;
       if (next <= length) return static_cast<Ticks>(length);
       length = next;
-      if (length > kMaxTicks) break;
     }
     return {};
   }

@@ -128,6 +128,21 @@ TEST(KeysCheck, AGateMayBeFull) {
   EXPECT_TRUE(fails(c, "of 'b', which may run when they begin"));
 }
 
+/// `a` pays for a preemption in every second activation. If it always did, the XPU would be overloaded.
+TEST(KeysCheck, NotEveryJobPays) {
+  Case c = empty(true, 1000);
+  c.app.clocks = {{"main", 0}, {"lidar", 0}};
+  xnode(c, source(c, 10'000), 0, 2000, {8000});
+  xnode(c, source(c, 20'000), 0, 8900, {20'000});
+  xnode(c, source(c, 10'000, 0, 0, 1), 0, 2000, {8000});
+  EXPECT_TRUE(holds(c));
+  EXPECT_EQ(checked(c)->xpus[0].kind, "demand bound");
+  c.app.xnodes[1].wcet_us["cpu"] = 9000;
+  EXPECT_TRUE(holds(c));  // full: 20 ms of work in 20 ms
+  c.app.xnodes[1].wcet_us["cpu"] = 9001;
+  EXPECT_TRUE(refused(c, "load it by 100.0050 %"));
+}
+
 TEST(KeysCheck, KeysThatForgetThePreemptionsAreRefused) {
   Case c = empty(true, 50);
   xnode(c, source(c, 1000), 0, 400, {900});
