@@ -4,9 +4,9 @@
 // and topics are those of any app.
 //
 // A job takes 60 to 95 % of its XNode's WCET there, as a stage takes less than its WCET on an
-// ordinary day, and leaves the emulator 0.3 ms to wake up in. --worst: it takes all of it. --seed: one
-// in four does, and the others 30 % and more. Either way less --slack. A time is drawn by XNode and
-// release (and seed), so that it is the same under each policy.
+// ordinary day, and leaves the emulator 0.3 ms to wake up in: a short one takes less, 30 % at least.
+// --worst: it takes all of it. --seed: one in four does, and the others 30 % and more. Either way less
+// --slack. A time is drawn by XNode and release (and seed), so that it is the same under each policy.
 //
 // What a program can have: an edge into an XModule comes from the last XNode of another one and ends
 // at its first; so do samples. What is otherwise is refused.
@@ -62,7 +62,7 @@ std::int64_t time_of(const Flags& flags, std::int64_t wcet_us, std::uint64_t bit
   };
   if (flags.worst) return most;
   if (flags.seed != 0) return bits % 4 == 0 ? most : part(300, 701);
-  return std::min(part(600, 351), std::max(most * 60 / 100, most - 300));
+  return std::min(part(600, 351), std::max(most * 30 / 100, most - 300));
 }
 
 Node node_of(const xauto::XNodeSpec& spec, int index, const Flags& flags) {
