@@ -59,6 +59,10 @@ constexpr double kPoliteBelow = 0.56;    ///< whether it interrupts others in th
 constexpr double kOnCritical = 0.6;      ///< of moves: an XNode of the chain that sets the cost
 constexpr double kLate = 0.5;            ///< of moves of a hold: Decision::late, where that may be
 constexpr double kUnhold = 0.5;          ///< of moves of a hold: none, where there is one
+/// ... else, where there is one: somewhat sooner or later, by exp(-1) to exp(-1 - kMoveRange) of a period; of these,
+/// all other holds by as much. Readers that follow one another have to move together: the first one alone costs what
+/// the others read. Measured on the Driving Case at its rates: docs/results/driving-rates.txt.
+constexpr double kMoveHold = 0.5, kMoveAll = 0.5, kMoveRange = 8;
 constexpr double kMeeting = 0.2;   ///< where WCETs depend on who meets: moves that keep two apart
 constexpr double kOneMove = 0.75;  ///< of candidates: one move, not two
 
@@ -520,6 +524,18 @@ bool Search::change_window(const Candidate& from, Decision& next, int i) {
   return window != before;
 }
 
+/// One that is held begins somewhat sooner or later, alone or with all others.
+bool Search::shift_holds(Decision& next, int v) {
+  const double part = std::exp(-1 - kMoveRange * random_.unit());
+  Tick by = static_cast<Tick>(static_cast<double>(p_.period_of(v)) * part) / p_.scale * p_.scale;
+  by = std::max(p_.scale, by) * (random_.unit() < 0.5 ? 1 : -1);
+  const bool all = random_.unit() < kMoveAll;
+  for (const int r : readers_)
+    if (Tick& hold = next.hold[at(r)]; r == v || (all && hold > 0))
+      hold = std::clamp<Tick>(hold + by, 0, kMostTicks / p_.scale * p_.scale);
+  return true;
+}
+
 /// One that samples begins later, so as to read something newer: or no longer.
 bool Search::change_reader(const Candidate& from, Decision& next) {
   const int v = readers_[random_.below(readers_.size())];
@@ -532,6 +548,7 @@ bool Search::change_reader(const Candidate& from, Decision& next) {
     hold = 0;
     return true;
   }
+  if (hold > 0 && random_.unit() < kMoveHold) return shift_holds(next, v);
   const Tick before = hold;
   if (!from.figures.valid) return false;
   const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];
