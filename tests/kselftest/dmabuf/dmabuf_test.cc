@@ -82,11 +82,11 @@ void alone(const UniqueFd& device) {
 }
 
 /// Ends this process, a reader's: 0 when each frame is the exporter's memory and can be read, not written. One
-/// frame is kept until somebody kills it, and `told`, a pipe, says that it is there.
+/// frame is kept until somebody kills it; `told`, a pipe, says that the reader is there, and then that the frame is.
 [[noreturn]] void read_frames(transport::Link& link, const detail::TopicSpec& spec, ino_t expected,
                               int frames, int told = -1) {
   const auto reader = link.subscriber(spec, 0);
-  if (!reader) _exit(2);
+  if (!reader || (told >= 0 && write(told, "", 1) != 1)) _exit(2);
   std::shared_ptr<const void> kept;
   for (int seen = 0; seen < frames;) {
     const auto envelope = (*reader)->take();
@@ -143,8 +143,9 @@ void between_processes(const UniqueFd& device) {
   child = fork();
   if (child == 0) read_frames(**there, spec, memory, 1, told[1]);
   close(told[1]);
-  all = publish(100);
   char byte = 0;
+  // What was published before the second one asked for descriptors would be lost for it.
+  all = read(told[0], &byte, 1) == 1 && publish(100);
   all = read(told[0], &byte, 1) == 1 && all;  // 0: it died before
   close(told[0]);
   ksft_test_result(all && !pool->acquire(), "who keeps a frame keeps the dmabuf\n");
