@@ -235,7 +235,7 @@ class Skeleton {
   /// What a stand-in takes on a type: as was seen on a CPU, in proportion to the WCETs.
   [[nodiscard]] std::vector<std::int64_t> times_on(std::size_t x, std::int64_t wcet_us) const {
     const std::int64_t most =
-        std::max(wcet_us - kWakeUs, std::max<std::int64_t>(1, wcet_us * 6 / 10));
+        std::max(wcet_us - kWakeUs, std::max<std::int64_t>(1, wcet_us * 3 / 10));
     std::vector<std::int64_t> times;
     if (x < seen_.xnodes.size() && !seen_.xnodes[x].times_us.empty()) {
       const auto seen_on = static_cast<double>(app_.xnodes[x].wcet_on("cpu").value_or(wcet_us));

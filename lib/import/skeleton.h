@@ -16,8 +16,9 @@ struct SkeletonFile {
 };
 
 /// A folder that compiles with the installed library: each XNode is a function to fill in, and until then keeps an
-/// emulated XPU busy for as long as the trace says, or 60 to 95 % of its WCET where there is none. `version`: of
-/// find_package(xauto ...), "0.2". Errors: no program has such edges or samples (tools/standin/main.cc says which).
+/// emulated XPU busy for as long as the trace says, or 60 to 95 % of its WCET, less of a short one, where there is none.
+/// `version`: of find_package(xauto ...), "0.2". Errors: no program has such edges or samples (tools/standin/main.cc
+/// says which).
 [[nodiscard]] Result<std::vector<SkeletonFile>> skeleton(const ImportedApp& imported,
                                                          const std::string& version);
 

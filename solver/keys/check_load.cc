@@ -722,24 +722,24 @@ class Load {
     Ticks period, spread, work;
   };
 
-  /// Longest interval that jobs, and one that blocks, can keep busy; nothing if no end was found. First an XNode is a
-  /// stream of its longest job. Where that is more work than time, since not every job of it pays for a preemption,
-  /// each of its jobs is one, once a turn of its group.
-  [[nodiscard]] std::optional<Ticks> busy(Ticks blocked) const {
-    for (const bool each_job : {false, true}) {
-      std::vector<Stream> all;
-      Ticks once = 0;
-      for (const Group& g : groups_) {
-        if (g.urgent)
-          for (const Item& i : g.items) once += i.work;
-        else if (g.other > 0 || each_job)
-          for (const Item& i : g.items) all.push_back({least(g.period, g.ppm), 0, i.work});
-        else
-          add_xnodes(g, all);
-      }
-      if (const std::optional<Ticks> end = busy(all, blocked + once)) return end;
+  enum class StreamOf {
+    kXNode,  ///< its longest job, once a period
+    kJob,  ///< once a turn of its group: less work where not every job of an XNode pays for a preemption
+  };
+
+  /// Longest interval that jobs, and one that blocks, can keep busy; nothing if no end was found.
+  [[nodiscard]] std::optional<Ticks> busy(Ticks blocked, StreamOf of) const {
+    std::vector<Stream> all;
+    Ticks once = 0;
+    for (const Group& g : groups_) {
+      if (g.urgent)
+        for (const Item& i : g.items) once += i.work;
+      else if (g.other > 0 || of == StreamOf::kJob)
+        for (const Item& i : g.items) all.push_back({least(g.period, g.ppm), 0, i.work});
+      else
+        add_xnodes(g, all);
     }
-    return {};
+    return busy(all, blocked + once);
   }
 
   void add_xnodes(const Group& g, std::vector<Stream>& all) const {
@@ -933,8 +933,9 @@ class Load {
     if (blocks_)
       for (const Group& g : groups_)
         for (const Blocker& b : blockers(g)) longest = std::max(longest, b.work);
-    std::optional<Ticks> end = busy(longest);
+    std::optional<Ticks> end = busy(longest, StreamOf::kXNode);
     if (!end) end = turn();
+    if (!end) end = busy(longest, StreamOf::kJob);
     if (!end) return no_end();
 
     std::vector<std::vector<Step>> curves;

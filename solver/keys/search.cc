@@ -524,8 +524,8 @@ bool Search::change_window(const Candidate& from, Decision& next, int i) {
   return window != before;
 }
 
-/// One that is held begins somewhat sooner or later, alone or with all others.
-bool Search::shift_holds(Decision& next, int v) {
+/// A reader that is held begins somewhat sooner or later, alone or with all others that are.
+void Search::shift_holds(Decision& next, int v) {
   const double part = std::exp(-1 - kMoveRange * random_.unit());
   Tick by = static_cast<Tick>(static_cast<double>(p_.period_of(v)) * part) / p_.scale * p_.scale;
   by = std::max(p_.scale, by) * (random_.unit() < 0.5 ? 1 : -1);
@@ -533,7 +533,6 @@ bool Search::shift_holds(Decision& next, int v) {
   for (const int r : readers_)
     if (Tick& hold = next.hold[at(r)]; r == v || (all && hold > 0))
       hold = std::clamp<Tick>(hold + by, 0, kMostTicks / p_.scale * p_.scale);
-  return true;
 }
 
 /// One that samples begins later, so as to read something newer: or no longer.
@@ -548,7 +547,10 @@ bool Search::change_reader(const Candidate& from, Decision& next) {
     hold = 0;
     return true;
   }
-  if (hold > 0 && random_.unit() < kMoveHold) return shift_holds(next, v);
+  if (hold > 0 && random_.unit() < kMoveHold) {
+    shift_holds(next, v);
+    return true;
+  }
   const Tick before = hold;
   if (!from.figures.valid) return false;
   const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];

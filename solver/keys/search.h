@@ -150,7 +150,7 @@ class Search {
               const std::function<void(const Candidate&)>& on_better);
   void keep(const Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
-  [[nodiscard]] bool shift_holds(Decision& next, int v);
+  void shift_holds(Decision& next, int v);
   [[nodiscard]] bool change_reader(const Candidate& from, Decision& next);
   [[nodiscard]] bool change_meeting(const Candidate& from, Decision& next);
   [[nodiscard]] bool mutate(const Candidate& from, Decision& next);

@@ -136,7 +136,7 @@ int main(int argc, char** argv) {
   xauto::cli::Program program(
       "Stands in for an app's program: each XNode keeps an emulated XPU busy.", "xauto-standin");
   program.option("app", flags.app, "app.json").required();
-  program.flag("--worst", flags.worst, "each job takes its WCET, not 60 to 95 % of it");
+  program.flag("--worst", flags.worst, "each job takes its WCET, not less");
   program.option("--seed", flags.seed, "one job in four takes its WCET, the others 30 % and more")
       .excludes("--worst");
   program.duration("--slack", flags.slack_us, xauto::cli::Unit::kMicroseconds, 0, 1e9,
