@@ -178,6 +178,8 @@ Result<std::vector<RatedCase>> cases_of(const Flags& flags) {
     });
     return cases;
   }
+  if (flags.platform.empty())
+    return fail(ErrorCode::kInvalid, "is needed with --app", "--platform", "name one");
   RatedCase one;
   XAUTO_ASSIGN(one.app, load_app(flags.app));
   XAUTO_ASSIGN(one.platform, load_platform(flags.platform));

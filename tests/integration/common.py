@@ -42,12 +42,15 @@ while True:
 def wait_for(what, probe, tool=None, seconds=60):
     """The first true answer of `probe`. Fails after a minute, or when `tool`, a process, has ended."""
     until = time.monotonic() + seconds
-    while not (answer := probe()):
-        assert time.monotonic() < until, f"{what}: not within {seconds} s"
+    while True:
+        asked = time.monotonic()
+        if answer := probe():
+            return answer
+        now = time.monotonic()
+        assert now < until, f"{what}: not within {seconds} s"
         if tool is not None and tool.poll() is not None:
             raise AssertionError(f"{what}: the run ended before, status {tool.returncode}: {tool.communicate()}")
-        time.sleep(0.02)
-    return answer
+        time.sleep(min(max(0.02, 2 * (now - asked)), 0.5))  # a probe that starts a program takes the core that others wait for
 
 
 def system_service(test, folder, *flags, log=subprocess.DEVNULL):

@@ -80,6 +80,7 @@ class KeyTables(unittest.TestCase):
         report = json.loads((self.folder / "out").read_text())["runs"][0]
         self.assertEqual(report["lost_activations"], 0)
         self.assertIn("by the policy's keys", report["claims"]["of"])
+        self.trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())
         self.judge(report)
         return report
 
@@ -111,7 +112,7 @@ class KeyTables(unittest.TestCase):
                 self.assertIsNone(s["spanned_us"], "no release has another table")
         if not re.search("have no worst case", str(report["claims"]["broken"])):
             self.assertTrue(met)
-        events = [e for e in pftrace.Trace((self.folder / "t.pftrace").read_bytes()).slices if e.category == "table"]
+        events = [e for e in self.trace.slices if e.category == "table"]
         self.assertEqual([(e.args.get("chain"), e.args.get("spanned_us"), e.args.get("worst_case_us")) for e in events],
                          [(s.get("chain"), s["spanned_us"], s.get("worst_case_us")) for s in report["switches"]])
         if met and self.live["spanned"]:
@@ -130,7 +131,7 @@ class KeyTables(unittest.TestCase):
             for u, v in ends:
                 home[u] = home[v] = min(home[u], home[v])
         may = collections.defaultdict(lambda: {0, 1})  # (component, activation) -> tables
-        for s in pftrace.Trace((self.folder / "t.pftrace").read_bytes()).slices:
+        for s in self.trace.slices:
             if s.category != "run":
                 continue
             name = s.name.split(" ")[0]

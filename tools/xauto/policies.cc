@@ -807,10 +807,15 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
   const auto checked = keys::check(app, platform, answer.policy, asked.beside);
   if (!checked && checked.error().code == ErrorCode::kUnavailable)  // nobody could check it
     return tl::unexpected<Error>(checked.error());
-  if (!checked)
+  if (!checked) {  // a robot has to run all the same
+    answer.policy.certified = false;
+    answer.policy.chains.clear();
+    write_policies(apps, platform, answer.policy, out.policies, outputs, false);
     return fail(ErrorCode::kInternal,
                 "the solver's answer does not pass the check: " + checked.error().to_string(),
-                app.name + " on " + platform.name, "report it with app and platform");
+                app.name + " on " + platform.name,
+                "report it with app and platform; what was written claims nothing");
+  }
   XAUTO_ASSIGN(const std::vector<keys::WhatIf> ifs,
                ask_assumed(app, platform, answer.policy, assume, asked));
   const bool late = misses_a_deadline(answer.policy, app);

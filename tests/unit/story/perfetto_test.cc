@@ -528,7 +528,9 @@ std::string protoc(const std::string& arguments, const std::string& bytes) {
   std::ofstream(in, std::ios::binary) << bytes;
   const std::string command = std::string(XAUTO_PROTOC) + " " + arguments + " <" + in + " >" + out;
   EXPECT_EQ(std::system(command.c_str()), 0) << command;
-  return slurp(out);
+  const std::string text = slurp(out);
+  for (const std::string& file : {in, out}) std::filesystem::remove(file);
+  return text;
 }
 
 TEST(Perfetto, ATinyRunIsWrittenAsItAlwaysWas) {

@@ -24,8 +24,13 @@ def fields(data):
                 return value
             shift += 7
 
-    while at < len(data):
-        key = varint()
+    end = len(data)
+    while at < end:
+        key = data[at]
+        if key < 0x80:
+            at += 1
+        else:
+            key = varint()
         kind = key & 7
         if kind == 0:
             yield key >> 3, varint()
@@ -33,8 +38,12 @@ def fields(data):
             yield key >> 3, struct.unpack_from("<Q", data, at)[0]
             at += 8
         elif kind == 2:
-            size = varint()
-            if at + size > len(data):
+            size = data[at]
+            if size < 0x80:
+                at += 1
+            else:
+                size = varint()
+            if at + size > end:
                 raise ValueError("broken off")
             yield key >> 3, data[at:at + size]
             at += size
