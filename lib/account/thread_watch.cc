@@ -123,11 +123,11 @@ void ThreadWatch::finish() {
   stolen_now_ns_ = stolen_ns(proc_);
 }
 
-void ThreadWatch::woke(std::int64_t slept_ns, std::int64_t asked_ns) {
+void ThreadWatch::woke(std::int64_t late_ns) {
   if (!not_watched_.empty()) return;  // who tells a queue from it?
   const std::int64_t waited_ns = rt::without_core_ns().value_or(waited_ns_);
   const std::int64_t by_queue_ns = waited_ns - std::exchange(waited_ns_, waited_ns);
-  still_ns_ = std::max(still_ns_, slept_ns - asked_ns - by_queue_ns);
+  still_ns_ = std::max(still_ns_, late_ns - by_queue_ns);
 }
 
 void ThreadWatch::look(std::int64_t now_ns) {

@@ -25,9 +25,9 @@ class ThreadWatch {
   explicit ThreadWatch(std::vector<pid_t> xnodes_on_cores, std::string proc = "/proc");
   /// Every kLookNs: what is told of waiting is told of the time between two looks.
   void look(std::int64_t now_ns);
-  /// The watching thread slept for `slept_ns` where it had asked for `asked_ns`. What it did not wait for a core of
-  /// that, the whole machine stood still: nothing counts that.
-  void woke(std::int64_t slept_ns, std::int64_t asked_ns);
+  /// The watching thread woke too late by so much. What it did not wait for a core of that, the whole machine stood
+  /// still: nothing counts that.
+  void woke(std::int64_t late_ns);
   /// After the last look, when the threads of the run may have ended.
   void finish();
   [[nodiscard]] std::vector<TakenReport> taken() const;

@@ -15,8 +15,6 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::int64_t kSilenceNs = 3'000'000'000;  ///< of a watchdog, beyond the hang limit
-/// A member tells for how long its jobs run. The hub looks itself, at the instant that counts.
-constexpr std::int64_t kTellNs = 1'000'000;
 
 }  // namespace
 
@@ -66,24 +64,30 @@ Status HangWatch::start(const std::vector<std::vector<Limits>>& limits) {
           return ForeignWatch::Neighbours{std::move(told.processes), std::move(told.not_kept_off)};
         });
   }
-  std::int64_t period =
+  const std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
-  if (tells) period = std::min(period, kTellNs);
-  XAUTO_ASSIGN(watchdog_, Watchdog::start(period, [this, tells, claims, period](std::int64_t now) {
-                 if (threads_ && asleep_since_ns_ > 0)
-                   threads_->woke(now - asleep_since_ns_, period);
-                 for (const auto& worker : wiring_.workers()) {
-                   JobTimes& times = worker->times();
-                   if (const auto job = times.find_hung(now)) hung(*worker, *job);
-                   if (tells) times.tell_time(now);
-                   if (claims) times.tell_past_wcet(now);
-                   if (claims) worker->tell_stuck_call(now);
-                 }
-                 look_at_threads(now);
-                 asleep_since_ns_ = xauto::now_ns();
-                 role_.looked(now);
-               }));
+  XAUTO_ASSIGN(const std::shared_ptr<Alarm> alarm, Alarm::make());
+  if (tells)
+    for (const auto& worker : wiring_.workers()) worker->times().ask(alarm);
+  XAUTO_ASSIGN(
+      watchdog_,
+      Watchdog::start(alarm, period, [this, tells, claims](std::int64_t now, std::int64_t late_ns) {
+        if (threads_) threads_->woke(late_ns);
+        look_at_jobs(now, tells, claims);
+        look_at_threads(now);
+        role_.looked(now);
+      }));
   return {};
+}
+
+void HangWatch::look_at_jobs(std::int64_t now_ns, bool tells, bool claims) {
+  for (const auto& worker : wiring_.workers()) {
+    JobTimes& times = worker->times();
+    if (const auto job = times.find_hung(now_ns)) hung(*worker, *job);
+    if (tells) times.tell_on_time(now_ns);
+    if (claims) times.tell_past_wcet(now_ns);
+    if (claims) worker->tell_stuck_call(now_ns);
+  }
 }
 
 void HangWatch::stop() {

@@ -36,6 +36,7 @@ class HangWatch {
   HangWatch(const Context& context, const Wiring& wiring, RunRole& role)
       : context_(context), wiring_(wiring), role_(role) {}
   [[nodiscard]] Status start(const std::vector<std::vector<Limits>>& limits);
+  void look_at_jobs(std::int64_t now_ns, bool tells, bool claims);
   void look_at_threads(std::int64_t now_ns);
   void hung(const Worker& worker, const JobTimes::Hung& job);
 
@@ -46,7 +47,7 @@ class HangWatch {
   std::string note_;                       ///< of the watchdog's thread
   std::unique_ptr<ThreadWatch> threads_;   ///< of the watchdog's thread; null: nothing is claimed
   std::unique_ptr<ForeignWatch> foreign_;  ///< likewise
-  std::int64_t asleep_since_ns_ = 0, looked_ns_ = 0;  ///< likewise
+  std::int64_t looked_ns_ = 0;             ///< likewise
   std::unique_ptr<Watchdog> watchdog_;
 };
 

@@ -10,14 +10,18 @@
 
 #include <xauto/result.h>
 
+#include "base/alarm.h"
+
 namespace xauto::runtime {
 
-/// Calls `look` every `period_ns` on a thread of its own.
+/// Calls `look` every `period_ns`, and whenever its alarm asks for it, on a thread of its own.
 class Watchdog {
  public:
-  /// kUnavailable: there is none.
-  [[nodiscard]] static Result<std::unique_ptr<Watchdog>> start(
-      std::int64_t period_ns, std::function<void(std::int64_t now_ns)> look);
+  /// `late_ns`: by how much it woke too late.
+  using Look = std::function<void(std::int64_t now_ns, std::int64_t late_ns)>;
+  /// kUnavailable: there is no thread, or no timer.
+  [[nodiscard]] static Result<std::unique_ptr<Watchdog>> start(std::shared_ptr<Alarm> alarm,
+                                                               std::int64_t period_ns, Look look);
   ~Watchdog() { stop(); }
   Watchdog(const Watchdog&) = delete;
   Watchdog& operator=(const Watchdog&) = delete;
@@ -25,7 +29,8 @@ class Watchdog {
 
  private:
   Watchdog() = default;
-  std::atomic<std::uint32_t> quit_{0};  ///< a futex
+  std::shared_ptr<Alarm> alarm_;
+  std::atomic<bool> quit_{false};
   std::thread thread_;
 };
 

@@ -12,6 +12,12 @@
 #include "base/rt.h"
 
 namespace xauto::runtime {
+namespace {
+
+/// A job of another process tells so often for how long it has run. The hub looks itself, at the instant that counts.
+constexpr std::int64_t kTellNs = 1'000'000;
+
+}  // namespace
 
 void JobTimes::of_this_thread() {
   (void)pthread_getcpuclockid(pthread_self(), &cpu_clock_);
@@ -38,6 +44,7 @@ void JobTimes::begin(const Placed& placed, std::uint64_t sequence) {
     before_ns_.store(job.before_ns);
   }
   watch_.begin(now, sequence);
+  if (alarm_ && placed.watched) alarm_->by(now + placed.limits.tell_ns);
 }
 
 bool JobTimes::by_levels() const {
@@ -130,16 +137,33 @@ void JobTimes::tell_cpu_time() {
 
 /// By another thread, so on a real core only what it has run for: what waits in a run queue now is not
 /// counted there yet. What it slept is told when it ends.
-void JobTimes::tell_time(std::int64_t now_ns) const {
+std::optional<std::int64_t> JobTimes::watched_so_far_ns(std::int64_t now_ns,
+                                                        const Placed*& placed) const {
   const auto seen = watch_.look(now_ns);
-  if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return;  // that is told
-  const Placed* placed = timed_.load(std::memory_order_acquire);
+  if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return {};  // that is told
+  placed = timed_.load(std::memory_order_acquire);
   const std::int64_t took_ns =
       on_.on_thread ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : own_ns(seen->took_ns, now_ns);
   // `placed` and the times belong together only if that job still runs.
   const auto again = watch_.look(now_ns);
-  if (again && again->job == seen->job && placed->watched)
-    placed->line->saw(took_ns, placed->table);
+  if (!again || again->job != seen->job || !placed->watched) return {};
+  return took_ns;
+}
+
+void JobTimes::tell_time(std::int64_t now_ns) const {
+  const Placed* placed = nullptr;
+  if (const auto took_ns = watched_so_far_ns(now_ns, placed))
+    placed->line->saw(*took_ns, placed->table);
+}
+
+/// What is shorter than any scenario allows nobody needs to know before the job ends.
+void JobTimes::tell_on_time(std::int64_t now_ns) const {
+  const Placed* placed = nullptr;
+  const auto took_ns = watched_so_far_ns(now_ns, placed);
+  if (!took_ns) return;
+  const std::int64_t left_ns = placed->limits.tell_ns - *took_ns;
+  if (left_ns <= 0) placed->line->saw(*took_ns, placed->table);
+  alarm_->by(now_ns + std::max(left_ns, kTellNs));
 }
 
 /// By another thread: no more than what it will be charged with. On a real core only what it has run for, as

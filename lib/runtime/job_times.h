@@ -5,11 +5,13 @@
 
 #include <atomic>
 #include <cstdint>
+#include <memory>
 #include <optional>
 
 #include <sys/types.h>
 #include <time.h>
 
+#include "base/alarm.h"
 #include "coord/port.h"
 #include "processes/board.h"
 #include "runtime/placed.h"
@@ -29,6 +31,8 @@ class JobTimes {
   };
   /// Before its threads look at anything else.
   void set_up(const On& on) { on_ = on; }
+  /// ... before the first job: who is to look when the job that runs is as long as some scenario allows.
+  void ask(std::shared_ptr<Alarm> alarm) { alarm_ = std::move(alarm); }
   /// ... before the first init.
   void of_this_thread();
   /// ... behind the last one.
@@ -58,6 +62,8 @@ class JobTimes {
   void tell_past_wcet(std::int64_t now_ns);
   /// Tells for how long the job that runs has had its XPU, if that is watched. Any thread.
   void tell_time(std::int64_t now_ns) const;
+  /// Tells it, and asks to be asked again while the job runs. The thread of find_hung.
+  void tell_on_time(std::int64_t now_ns) const;
   /// Of the execution thread, from `of_this_thread` on. Any thread.
   [[nodiscard]] pid_t thread_id() const { return tid_; }
 
@@ -75,7 +81,11 @@ class JobTimes {
   [[nodiscard]] bool by_levels() const;
   [[nodiscard]] JobsAbove::Begun begun() const { return {level_.load(), before_ns_.load()}; }
 
+  [[nodiscard]] std::optional<std::int64_t> watched_so_far_ns(std::int64_t now_ns,
+                                                              const Placed*& placed) const;
+
   On on_;
+  std::shared_ptr<Alarm> alarm_;  ///< null: nobody is asked
   /// By levels, of the job that runs: JobsAbove::Begun.
   std::atomic<int> level_{0};
   std::atomic<std::int64_t> before_ns_{0};

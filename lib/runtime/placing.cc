@@ -258,8 +258,9 @@ Placing Placing::of(const Session& session, const Graph& graph) {
       const int at = xpu_of(session, t, graph.nodes[n], placing.xnode[n]);
       placing.xpu.back().push_back(at);
       placing.limits.back().push_back(placing.limits_of(session, app, graph, t, n, at));
-      if (claimed && at >= 0)
-        placing.limits.back().back().wcet_ns = claimed->least(t, placing.xnode[n]);
+      if (!claimed || at < 0) continue;
+      placing.limits.back().back().wcet_ns = claimed->least(t, placing.xnode[n]);
+      placing.limits.back().back().tell_ns = claimed->shortest(t, placing.xnode[n]);
     }
   }
   return placing;

@@ -15,6 +15,7 @@ ClaimedWcets::ClaimedWcets(const Session& session) : xnodes_(session.app.xnodes.
   const Tables& tables = *session.tables;
   const std::size_t jobs = tables.tables.size() * xnodes_;
   const bool by_scenario = session.app.one_at_a_time;
+  shortest_ns_.resize(jobs);
   ns_.assign(by_scenario ? tables.scenarios.size() : tables.tables.size(),
              std::vector<std::int64_t>(jobs));
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
@@ -27,9 +28,12 @@ ClaimedWcets::ClaimedWcets(const Session& session) : xnodes_(session.app.xnodes.
         if (table.xpu(x) < 0) continue;
         const std::string& type =
             session.platform.xpus[static_cast<std::size_t>(table.xpu(x))].type;
-        if (const auto wcet_us = wcet_of(under.xnodes[x], table.loss.variant_of(x), type))
-          row[at(t, x)] =
-              std::max(row[at(t, x)], watched_ns(*wcet_us, session.emulated(table.xpu(x))));
+        const auto wcet_us = wcet_of(under.xnodes[x], table.loss.variant_of(x), type);
+        if (!wcet_us) continue;
+        const std::int64_t ns = watched_ns(*wcet_us, session.emulated(table.xpu(x)));
+        std::int64_t& shortest = shortest_ns_[at(t, x)];
+        row[at(t, x)] = std::max(row[at(t, x)], ns);
+        shortest = shortest == 0 ? ns : std::min(shortest, ns);
       }
   }
   least_ns_.resize(jobs);

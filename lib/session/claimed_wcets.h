@@ -27,15 +27,19 @@ class ClaimedWcets {
                                    std::size_t xnode) const;
   /// The least of these over all scenarios that `table` serves.
   [[nodiscard]] std::int64_t least(std::size_t table, std::size_t xnode) const;
+  /// Where `table` places it, no scenario whatever allows less; 0: there is no such job.
+  [[nodiscard]] std::int64_t shortest(std::size_t table, std::size_t xnode) const {
+    return shortest_ns_[at(table, xnode)];
+  }
 
  private:
   [[nodiscard]] std::size_t at(std::size_t table, std::size_t xnode) const {
     return table * xnodes_ + xnode;
   }
   std::size_t xnodes_;
-  std::vector<std::size_t> row_of_;            ///< [scenario]; at rates its table
-  std::vector<std::vector<std::int64_t>> ns_;  ///< [row][at()]
-  std::vector<std::int64_t> least_ns_;         ///< [at()]
+  std::vector<std::size_t> row_of_;                   ///< [scenario]; at rates its table
+  std::vector<std::vector<std::int64_t>> ns_;         ///< [row][at()]
+  std::vector<std::int64_t> least_ns_, shortest_ns_;  ///< [at()]
 };
 
 }  // namespace xauto::runtime

@@ -776,6 +776,19 @@ tl::unexpected<Error> none_on_hosts(const AppSpec& app, const Platform& platform
               "give it more time (--time-limit), pin modules to hosts, or give it less work");
 }
 
+/// What the solver says of it is false, a bug of ours; and a robot has to run all the same.
+tl::unexpected<Error> write_unclaimed(const Apps& apps, const Platform& platform, Policy& policy,
+                                      const Error& lie, const std::vector<std::string>& out,
+                                      Outputs& outputs) {
+  policy.certified = false;
+  policy.chains.clear();
+  write_policies(apps, platform, policy, out, outputs, false);
+  return fail(ErrorCode::kInternal,
+              "the solver's answer does not pass the check: " + lie.to_string(),
+              apps.all.name + " on " + platform.name,
+              "report it with app and platform; what was written claims nothing");
+}
+
 }  // namespace
 
 Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys::Options& asked,
@@ -807,15 +820,8 @@ Result<int> solve_policy(const Apps& apps, const Platform& platform, const keys:
   const auto checked = keys::check(app, platform, answer.policy, asked.beside);
   if (!checked && checked.error().code == ErrorCode::kUnavailable)  // nobody could check it
     return tl::unexpected<Error>(checked.error());
-  if (!checked) {  // a robot has to run all the same
-    answer.policy.certified = false;
-    answer.policy.chains.clear();
-    write_policies(apps, platform, answer.policy, out.policies, outputs, false);
-    return fail(ErrorCode::kInternal,
-                "the solver's answer does not pass the check: " + checked.error().to_string(),
-                app.name + " on " + platform.name,
-                "report it with app and platform; what was written claims nothing");
-  }
+  if (!checked)
+    return write_unclaimed(apps, platform, answer.policy, checked.error(), out.policies, outputs);
   XAUTO_ASSIGN(const std::vector<keys::WhatIf> ifs,
                ask_assumed(app, platform, answer.policy, assume, asked));
   const bool late = misses_a_deadline(answer.policy, app);

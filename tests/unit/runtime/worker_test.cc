@@ -319,6 +319,40 @@ TEST_F(WorkerTest, WhatInitsHaveMadeGoesOnTheirThreadTheLastOneFirst) {
   for (const std::thread::id id : ids) EXPECT_EQ(id, ids.front());
 }
 
+TEST_F(WorkerTest, AWatchedJobIsToldWhenItIsAsLongAsSomeScenarioAllowsAndNobodyLooksBefore) {
+  constexpr std::int64_t kTellNs = 4'000'000, kNeverNs = 3'600'000'000'000;
+  std::promise<void> inside, leave;
+  impls_[0]->exec = [&](void*, void*, const Input&) -> Status {
+    inside.set_value();
+    leave.get_future().wait();
+    return {};
+  };
+  XNodeLine line;
+  row_.nodes[0].limit({.tell_ns = kTellNs}, true, line);
+  Worker& worker = only();
+  const std::shared_ptr<Alarm> alarm = *Alarm::make();
+  alarm->set(now_ns() + kNeverNs);
+  worker.times().ask(alarm);
+  ASSERT_TRUE(worker.start());
+  const std::int64_t before_ns = now_ns();
+  std::thread driver([&] { EXPECT_TRUE(run(0)); });
+  inside.get_future().wait();
+  const std::int64_t began_ns = alarm->wait() - kTellNs;
+  EXPECT_GE(began_ns, before_ns);
+  // Too early: it asks for the rest.
+  alarm->set(now_ns() + kNeverNs);
+  worker.times().tell_on_time(began_ns + 1'000'000);
+  EXPECT_EQ(line.seen_job.load(), 0u);
+  EXPECT_EQ(alarm->wait(), began_ns + kTellNs);
+  alarm->set(now_ns() + kNeverNs);
+  worker.times().tell_on_time(began_ns + kTellNs);
+  EXPECT_EQ(XNodeLine::ns_of(line.seen_job.load()), kTellNs);
+  EXPECT_EQ(alarm->wait(), began_ns + kTellNs + 1'000'000) << "as long as it runs";
+  leave.set_value();
+  driver.join();
+  EXPECT_TRUE(worker.stop());
+}
+
 TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
   std::promise<void> inside, leave;
   impls_[0]->exec = [&](void*, void*, const Input&) -> Status {
