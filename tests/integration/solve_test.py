@@ -173,8 +173,9 @@ class Solve(unittest.TestCase):
         return path
 
     def test_the_largest_app_keeps_the_time_limit(self):
+        limit = f"{5 * stretch():.1f}s"
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        code, _, err, policy, _ = self.solve(self.huge(), "--time-limit", "5s", "--threads", 1)
+        code, _, err, policy, _ = self.solve(self.huge(), "--time-limit", limit, "--threads", 1)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         self.assertEqual(code, 0, err)
         used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -200,6 +201,14 @@ class Solve(unittest.TestCase):
         self.assertIn("interrupted: best so far", process.stdout.read())
         self.assertLess(usage.ru_utime + usage.ru_stime - used, SLACK * 2)
         self.assertEqual(len(json.loads(policy.read_text())["xnodes"]), 5000)
+
+
+def stretch():
+    """For how long one second of CPU time takes now, beside what else this machine does: at most three."""
+    began, used = time.monotonic(), time.process_time()
+    while time.process_time() - used < 0.3:
+        pass
+    return min(3, max(1, (time.monotonic() - began) / 0.3))
 
 
 def catches_sigint(pid):
