@@ -219,6 +219,25 @@ class Tables(unittest.TestCase):
                 late = [n for n, at in came.items() if over < at and n < first["release"]]
                 self.assertLessEqual(len(late), 1, "releases went on by the old table")
 
+    def test_a_job_counts_before_it_ends(self):
+        """One goes on for more than two periods. Had it to end first, the third release after it would be the first to know."""
+        period, begins = 400, 3  # ms; its activation
+        files = testapp_files(self.folder, QUEUES, period_us=period * 1000)
+        self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "testapp", "scenarios": [
+            {"name": "nominal"}, {"name": "stuck", "wcet_scale_pct": {"npu": 5000}}]})
+        done = xauto("solve", *files[:4], "--scenarios", "scenarios.json", "--tables", 2, "--time-limit", "2s", "--out",
+                     "stuck.json", cwd=self.folder)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        files[files.index("--policy") + 1] = self.folder / "stuck.json"
+        for flags in ((), ("--isolate",)):
+            with self.subTest(flags):
+                done = xauto("run", *files, "--activations", 10, "--json", *flags, "--", TESTAPP, self.folder / "result",
+                             "hang", "B", begins, 5 * period // 2)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                switches = [s for s in json.loads(done.stdout)["runs"][0]["switches"] if s["release"] > begins]
+                self.assertLessEqual(switches[0]["release"], begins + 2, switches)
+                self.assertRegex(switches[0]["detail"], "^XNode 'b1' had its XPU for ")
+
     def test_the_machine_says_in_which_scenario_it_is(self):
         clock = self.folder / "cur_freq"
         clock.write_text("918000000\n")
