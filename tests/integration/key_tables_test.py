@@ -72,7 +72,7 @@ class KeyTables(unittest.TestCase):
         for name in ["GPU at half", "CPUs slow", "nominal", "GPU at half", "nominal"]:
             self.assertEqual(xauto("param", "scenario", *run, name).returncode, 0)
             at = released()
-            wait_for("releases after the wish", lambda: released() > at + 120, tool)
+            wait_for("releases after the wish", lambda: released() > at + 60, tool)
             self.judge_deployed(tool)
         self.live = top(tool)["scenario"]
         tool.terminate()
