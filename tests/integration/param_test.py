@@ -276,7 +276,8 @@ class Instances(Params):
         (self.folder / "app.json").unlink(missing_ok=True)  # it states no source, and what is asked in it would stay
         done = self.profile("--deployment", "deployment.json")
         self.assertEqual(done.returncode, 0, done.stderr)
-        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--out", "policy.json", cwd=self.folder)
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--max-evaluations", 200, "--out", "policy.json",
+                     cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
 
     def command(self, *flags, deploy=True, activations=0, app=()):

@@ -222,7 +222,9 @@ class Tables(unittest.TestCase):
     def test_a_job_counts_before_it_ends(self):
         """One goes on for more than two periods. Had it to end first, the third release after it would be the first to know."""
         period, begins = 400, 3  # ms; its activation
-        files = testapp_files(self.folder, QUEUES, period_us=period * 1000)
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        files = testapp_files(folder.name, QUEUES, period_us=period * 1000)
         self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "testapp", "scenarios": [
             {"name": "nominal"}, {"name": "stuck", "wcet_scale_pct": {"npu": 5000}}]})
         done = xauto("solve", *files[:4], "--scenarios", "scenarios.json", "--tables", 2, "--time-limit", "2s", "--out",
