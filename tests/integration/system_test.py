@@ -187,9 +187,10 @@ class System(unittest.TestCase):
         away = ("unshare", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
         if subprocess.run([*away, "true"], capture_output=True).returncode != 0:
             self.skipTest("only root makes namespaces")
-        first = self.start("first", 40_000)
+        queued = ("--overload", "queue:8")  # this machine stalls
+        first = self.start("first", 40_000, flags=queued)
         wait_for("the first", lambda: self.admitted() == ["first"], first)
-        second = self.start("second", 50_000, 5, before=away, flags=("--overload", "queue:8"))
+        second = self.start("second", 50_000, 5, before=away, flags=queued)
         wait_for("the second", lambda: sorted(self.admitted()) == ["first", "second"], second)
         self.assertEqual(len(self.coordinators()), 2)
         self.assertEqual(self.ended(second, "second")["lost_activations"], 0)
