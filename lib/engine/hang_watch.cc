@@ -84,7 +84,7 @@ void HangWatch::look_at_jobs(std::int64_t now_ns, bool tells, bool claims) {
   for (const auto& worker : wiring_.workers()) {
     JobTimes& times = worker->times();
     if (const auto job = times.find_hung(now_ns)) hung(*worker, *job);
-    if (tells) times.tell_on_time(now_ns);
+    if (tells) times.tell_time(now_ns);
     if (claims) times.tell_past_wcet(now_ns);
     if (claims) worker->tell_stuck_call(now_ns);
   }

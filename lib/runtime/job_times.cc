@@ -137,33 +137,19 @@ void JobTimes::tell_cpu_time() {
 
 /// By another thread, so on a real core only what it has run for: what waits in a run queue now is not
 /// counted there yet. What it slept is told when it ends.
-std::optional<std::int64_t> JobTimes::watched_so_far_ns(std::int64_t now_ns,
-                                                        const Placed*& placed) const {
+/// What is shorter than any scenario allows nobody needs to know before the job ends.
+void JobTimes::tell_time(std::int64_t now_ns) const {
   const auto seen = watch_.look(now_ns);
-  if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return {};  // that is told
-  placed = timed_.load(std::memory_order_acquire);
+  if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return;  // that is told
+  const Placed* placed = timed_.load(std::memory_order_acquire);
   const std::int64_t took_ns =
       on_.on_thread ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : own_ns(seen->took_ns, now_ns);
   // `placed` and the times belong together only if that job still runs.
   const auto again = watch_.look(now_ns);
-  if (!again || again->job != seen->job || !placed->watched) return {};
-  return took_ns;
-}
-
-void JobTimes::tell_time(std::int64_t now_ns) const {
-  const Placed* placed = nullptr;
-  if (const auto took_ns = watched_so_far_ns(now_ns, placed))
-    placed->line->saw(*took_ns, placed->table);
-}
-
-/// What is shorter than any scenario allows nobody needs to know before the job ends.
-void JobTimes::tell_on_time(std::int64_t now_ns) const {
-  const Placed* placed = nullptr;
-  const auto took_ns = watched_so_far_ns(now_ns, placed);
-  if (!took_ns) return;
-  const std::int64_t left_ns = placed->limits.tell_ns - *took_ns;
-  if (left_ns <= 0) placed->line->saw(*took_ns, placed->table);
-  alarm_->by(now_ns + std::max(left_ns, kTellNs));
+  if (!again || again->job != seen->job || !placed->watched) return;
+  const std::int64_t left_ns = placed->limits.tell_ns - took_ns;
+  if (left_ns <= 0) placed->line->saw(took_ns, placed->table);
+  if (alarm_) alarm_->by(now_ns + std::max(left_ns, kTellNs));
 }
 
 /// By another thread: no more than what it will be charged with. On a real core only what it has run for, as

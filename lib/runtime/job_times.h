@@ -60,10 +60,9 @@ class JobTimes {
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
   /// Tells of the job that runs that it is past its WCET, if it is: it may never end. The thread of find_hung.
   void tell_past_wcet(std::int64_t now_ns);
-  /// Tells for how long the job that runs has had its XPU, if that is watched. Any thread.
+  /// Tells for how long the job that runs has had its XPU, if that is watched; and has who was asked look again
+  /// while it runs. Any thread.
   void tell_time(std::int64_t now_ns) const;
-  /// Tells it, and asks to be asked again while the job runs. The thread of find_hung.
-  void tell_on_time(std::int64_t now_ns) const;
   /// Of the execution thread, from `of_this_thread` on. Any thread.
   [[nodiscard]] pid_t thread_id() const { return tid_; }
 
@@ -80,9 +79,6 @@ class JobTimes {
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
   [[nodiscard]] bool by_levels() const;
   [[nodiscard]] JobsAbove::Begun begun() const { return {level_.load(), before_ns_.load()}; }
-
-  [[nodiscard]] std::optional<std::int64_t> watched_so_far_ns(std::int64_t now_ns,
-                                                              const Placed*& placed) const;
 
   On on_;
   std::shared_ptr<Alarm> alarm_;  ///< null: nobody is asked

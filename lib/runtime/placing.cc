@@ -260,7 +260,10 @@ Placing Placing::of(const Session& session, const Graph& graph) {
       placing.limits.back().push_back(placing.limits_of(session, app, graph, t, n, at));
       if (!claimed || at < 0) continue;
       placing.limits.back().back().wcet_ns = claimed->least(t, placing.xnode[n]);
-      placing.limits.back().back().tell_ns = claimed->shortest(t, placing.xnode[n]);
+      // Whoever is nearer to what a scenario allows than the margin keeps the run from going back to it.
+      placing.limits.back().back().tell_ns =
+          claimed->shortest(t, placing.xnode[n]) *
+          (100 - session.deployment.tables.margin_pct.value_or(0)) / 100;
     }
   }
   return placing;

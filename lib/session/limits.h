@@ -16,7 +16,7 @@ struct Limits {
   /// The policy claims worst cases of jobs that take no longer. With tables: in each scenario that the
   /// table serves; of longer ones the scenario in force decides (tables/table_switch.h).
   std::int64_t wcet_ns = 0;
-  /// How long a job takes decides which table is next: no scenario allows less than this, so until then nobody asks.
+  /// How long a job takes decides which table is next: no scenario is in doubt before it takes this, so nobody asks.
   std::int64_t tell_ns = 0;
   OnHang on_hang = OnHang::kLog;
   [[nodiscard]] bool any() const { return budget_ns > 0 || hang_ns > 0 || wcet_ns > 0; }

@@ -163,7 +163,7 @@ class Gate(unittest.TestCase):
         member = next(pid for pid in children_of(tool.pid)
                       if b"XAUTO_PROCESS=" in pathlib.Path(f"/proc/{pid}/environ").read_bytes())
         os.kill(member, signal.SIGKILL)
-        wait_for("its end, and who waits for that", lambda: not pathlib.Path(f"/proc/{member}").exists(), tool)
+        wait_for("the tool to know of its end", lambda: not pathlib.Path(f"/proc/{member}").exists(), tool)
         tool.terminate()
         _, err = tool.communicate(timeout=60)
         self.assertEqual(tool.returncode, 1, err)

@@ -786,7 +786,8 @@ tl::unexpected<Error> write_unclaimed(const Apps& apps, const Platform& platform
   return fail(ErrorCode::kInternal,
               "the solver's answer does not pass the check: " + lie.to_string(),
               apps.all.name + " on " + platform.name,
-              "report it with app and platform; what was written claims nothing");
+              std::string("report it with app and platform") +
+                  (out.empty() ? "" : "; what was written claims nothing"));
 }
 
 }  // namespace

@@ -72,6 +72,14 @@ class WorkerTest : public ::testing::Test, public ModuleHost {
     workers_.push_back(std::make_unique<Worker>(options, row_, nullptr, *threads_));
     return *workers_.back();
   }
+  /// Jobs of "a" say that they run, and go on until they may leave.
+  void stay(std::promise<void>& inside, std::promise<void>& leave) {
+    impls_[0]->exec = [&](void*, void*, const Input&) -> Status {
+      inside.set_value();
+      leave.get_future().wait();
+      return {};
+    };
+  }
   /// An activation, and its end.
   bool run(std::uint64_t sequence) {
     over_ = std::promise<bool>();
@@ -322,11 +330,7 @@ TEST_F(WorkerTest, WhatInitsHaveMadeGoesOnTheirThreadTheLastOneFirst) {
 TEST_F(WorkerTest, AWatchedJobIsToldWhenItIsAsLongAsSomeScenarioAllowsAndNobodyLooksBefore) {
   constexpr std::int64_t kTellNs = 4'000'000, kNeverNs = 3'600'000'000'000;
   std::promise<void> inside, leave;
-  impls_[0]->exec = [&](void*, void*, const Input&) -> Status {
-    inside.set_value();
-    leave.get_future().wait();
-    return {};
-  };
+  stay(inside, leave);
   XNodeLine line;
   row_.nodes[0].limit({.tell_ns = kTellNs}, true, line);
   Worker& worker = only();
@@ -341,11 +345,11 @@ TEST_F(WorkerTest, AWatchedJobIsToldWhenItIsAsLongAsSomeScenarioAllowsAndNobodyL
   EXPECT_GE(began_ns, before_ns);
   // Too early: it asks for the rest.
   alarm->set(now_ns() + kNeverNs);
-  worker.times().tell_on_time(began_ns + 1'000'000);
+  worker.times().tell_time(began_ns + 1'000'000);
   EXPECT_EQ(line.seen_job.load(), 0u);
   EXPECT_EQ(alarm->wait(), began_ns + kTellNs);
   alarm->set(now_ns() + kNeverNs);
-  worker.times().tell_on_time(began_ns + kTellNs);
+  worker.times().tell_time(began_ns + kTellNs);
   EXPECT_EQ(XNodeLine::ns_of(line.seen_job.load()), kTellNs);
   EXPECT_EQ(alarm->wait(), began_ns + kTellNs + 1'000'000) << "as long as it runs";
   leave.set_value();
@@ -355,11 +359,7 @@ TEST_F(WorkerTest, AWatchedJobIsToldWhenItIsAsLongAsSomeScenarioAllowsAndNobodyL
 
 TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
   std::promise<void> inside, leave;
-  impls_[0]->exec = [&](void*, void*, const Input&) -> Status {
-    inside.set_value();
-    leave.get_future().wait();
-    return {};
-  };
+  stay(inside, leave);
   XNodeLine line;
   row_.nodes[0].limit({0, 1'000'000}, false, line);
   Worker& worker = only();
