@@ -3,9 +3,11 @@
 #include "base/terminal.h"
 
 #include <array>
+#include <cstdlib>
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
-#include <pty.h>
+#include <unistd.h>
 
 #include "base/unique_fd.h"
 
@@ -13,9 +15,10 @@ namespace xauto {
 namespace {
 
 TEST(Terminal, DrawsByTheEnvironmentOfItsUser) {
-  int ours = -1, theirs = -1;
-  ASSERT_EQ(openpty(&ours, &theirs, nullptr, nullptr, nullptr), 0);
-  const UniqueFd master(ours), terminal(theirs);
+  // Not openpty: before glibc 2.34 it is in a library of its own.
+  const UniqueFd master(posix_openpt(O_RDWR | O_NOCTTY));
+  ASSERT_TRUE(grantpt(master.get()) == 0 && unlockpt(master.get()) == 0);
+  const UniqueFd terminal(open(ptsname(master.get()), O_RDWR | O_NOCTTY));
   std::array<int, 2> pipes{};
   ASSERT_EQ(pipe(pipes.data()), 0);
   const UniqueFd reader(pipes[0]), writer(pipes[1]);
