@@ -2,7 +2,6 @@
 #include "solver/keys/certificate.h"
 
 #include <algorithm>
-#include <functional>
 
 #include "solver/keys/contention.h"
 
@@ -13,80 +12,6 @@ bool refuse(std::string* why, std::string what) {
   if (why != nullptr) *why = std::move(what);
   return false;
 }
-
-/// One XPU of one domain: earliest deadline first over its pattern, from an idle XPU until what is
-/// left at the end of a hyperperiod repeats. Jobs of the first activations that the real start
-/// lacks only make it harder.
-class Alone {
- public:
-  Alone(const Problem& p, int domain) : p_(p), hyper_(p.domains[at(domain)].hyper) {}
-
-  void add(Tick arrival, Tick due, Tick work, Tick slack, int xnode) {
-    const Tick turn = arrival / hyper_ * hyper_;
-    jobs_.push_back({arrival - turn, due - turn, work, slack, xnode});
-  }
-
-  [[nodiscard]] bool fits(std::string* why) {
-    std::sort(jobs_.begin(), jobs_.end(),
-              [](const Job& a, const Job& b) { return a.arrival < b.arrival; });
-    __int128 work = 0;
-    for (const Job& j : jobs_) work += j.work;
-    if (work > hyper_) return refuse(why, "its work is more than the hyperperiod");
-    std::vector<Left> left, before;
-    Tick now = 0;
-    // Work that is left over is the same after two hyperperiods if deadlines are met, but for what
-    // windows longer than one carry over.
-    for (int round = 0; round < kMostRounds; ++round) {
-      const Tick start = round * hyper_;
-      for (std::size_t k = 0; k <= jobs_.size(); ++k) {
-        const Tick until = k < jobs_.size() ? start + jobs_[k].arrival : start + hyper_;
-        if (!serve(left, now, until, why)) return false;
-        if (k < jobs_.size()) {
-          left.push_back({start + jobs_[k].due, jobs_[k].work, jobs_[k].slack, jobs_[k].xnode});
-          std::push_heap(left.begin(), left.end(), std::greater<>());
-        }
-      }
-      std::vector<Left> state = left;
-      for (Left& l : state) l.due -= start + hyper_;
-      std::sort(state.begin(), state.end(), std::greater<>());
-      if (round > 0 && state == before) return true;
-      before = std::move(state);
-    }
-    return refuse(why, "its work piles up");
-  }
-
- private:
-  static constexpr int kMostRounds = 64;
-  struct Job {
-    Tick arrival, due, work, slack;
-    int xnode;
-  };
-  struct Left {
-    Tick due, work, slack;
-    int xnode;
-    auto operator<=>(const Left&) const = default;  // NOLINT(modernize-use-nullptr)
-  };
-
-  bool serve(std::vector<Left>& left, Tick& now, Tick until, std::string* why) const {
-    while (now < until && !left.empty()) {
-      Left& job = left.front();
-      const Tick slice = std::min(job.work, until - now);
-      now += slice;
-      job.work -= slice;
-      if (now + job.work + job.slack > job.due)
-        return refuse(why, "XNode '" + p_.xnode_name[at(job.xnode)] + "' ends after its key");
-      if (job.work > 0) break;
-      std::pop_heap(left.begin(), left.end(), std::greater<>());
-      left.pop_back();
-    }
-    now = until;
-    return true;
-  }
-
-  const Problem& p_;
-  Tick hyper_;
-  std::vector<Job> jobs_;
-};
 
 bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::string* why) {
   for (int i = 0; i < p.num_xnodes; ++i) {
@@ -183,6 +108,12 @@ void add_others(const Problem& p, int m, Tick own_longest, std::vector<Pattern>&
   });
 }
 
+std::string text_of(const Problem& p, const Misfit& misfit) {
+  if (misfit.kind == Misfit::Kind::kOverload) return "its work is more than the hyperperiod";
+  if (misfit.kind == Misfit::Kind::kPilesUp) return "its work piles up";
+  return "XNode '" + p.xnode_name[at(misfit.xnode)] + "' ends after its key";
+}
+
 }  // namespace
 
 std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
@@ -203,6 +134,17 @@ std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
 Tick drift_pad(Tick deepest, std::int64_t ppm) {
   if (ppm == 0) return 0;
   return in_fast_time(in_slow_time(2 * deepest, ppm) - 2 * deepest + 1, ppm);
+}
+
+LaidJob laid(const Problem& p, const Windows& w, int i, int n, int m, bool pays, Tick blocked_by,
+             Tick pad) {
+  const Component& c = p.components[at(p.component_of[at(i)])];
+  const Domain& domain = p.domains[at(c.domain)];
+  const std::size_t s = at(p.slot[at(i)] + n);
+  const Tick arrival = c.phase % domain.hyper + n * c.period + w.a[s];
+  const Tick in_round = arrival % domain.hyper;
+  return {in_round, in_round + w.d[s] - w.a[s], in_fast_time(p.tested_work(i, m, pays), domain.ppm),
+          in_fast_time(blocked_by, domain.ppm) + pad, i};
 }
 
 bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
@@ -253,22 +195,18 @@ bool certify_xpu(const Problem& p, int m, const std::vector<int>& xpu, bool shar
     for (int n = 0; n < p.jobs[at(i)]; ++n) deepest = std::max(deepest, w.d[at(p.slot[at(i)] + n)]);
   }
   if (domain < 0) return true;
-  const std::int64_t ppm = p.domains[at(domain)].ppm;
-  const Tick pad = drift_pad(deepest, ppm);
-  Alone alone(p, domain);
+  const Tick hyper = p.domains[at(domain)].hyper,
+             pad = drift_pad(deepest, p.domains[at(domain)].ppm);
+  std::vector<LaidJob> jobs;
   for (int i = 0; i < p.num_xnodes; ++i) {
     if (xpu[at(i)] != m) continue;
-    const Component& c = p.components[at(p.component_of[at(i)])];
-    for (int n = 0; n < c.jobs; ++n) {
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
-      const Tick work = in_fast_time(p.tested_work(i, m, charges.preempts[s] != 0), ppm);
-      const Tick slack = in_fast_time(charges.blocked_by[s], ppm) + pad;
-      const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
-      alone.add(release + w.a[s], release + w.d[s], work, slack, i);
+      jobs.push_back(laid(p, w, i, n, m, charges.preempts[s] != 0, charges.blocked_by[s], pad));
     }
   }
-  std::string cause;
-  return alone.fits(&cause) || refuse(why, name + cause);
+  Misfit misfit;
+  return fits_alone(jobs, hyper, &misfit) || refuse(why, name + text_of(p, misfit));
 }
 
 bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why,

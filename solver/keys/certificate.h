@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "solver/keys/alone.h"
 #include "solver/keys/demand.h"
 #include "solver/keys/problem.h"
 #include "solver/keys/windows.h"
@@ -23,6 +24,10 @@ namespace xauto::solver::keys {
 /// |Delta| apart by ppm * |Delta| against a and d, which are real times, and |Delta| is at most the
 /// length of the interval + deepest: work / (1 - ppm) pays for the first, this for the second.
 [[nodiscard]] Tick drift_pad(Tick deepest, std::int64_t ppm);
+
+/// Activation n of the XNode, as it is tested on an XPU of one domain. `pad`: drift_pad.
+[[nodiscard]] LaidJob laid(const Problem& problem, const Windows& w, int xnode, int n, int xpu,
+                           bool pays, Tick blocked_by, Tick pad);
 
 /// One XPU by the demand bound, whatever domains it serves. `w`, `u` (urgent releases) and `charges`
 /// are derived.

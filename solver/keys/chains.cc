@@ -286,7 +286,7 @@ Tick least_distance(Tick length, std::int64_t ppm) {
 }
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w,
-                bool urgent) {
+                bool urgent, const Releases& of) {
   const int leaves = leaves_by(p, chain, path.samples, 0);
   const Component& c = p.components[at(p.component_of[at(leaves)])];
   Way way{p, chain, path.samples, {p, w.d}, {p, w.e}, urgent ? p.urgent_by(leaves) : 0, {}, 0, {}};
@@ -301,8 +301,10 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
   }
   Tick worst = 0;
   std::vector<Way::Origin> origins;
-  for (int k = 0; k < c.jobs; ++k) {
-    const Tick before = longest(c.phase - chain.offset, p.domains[at(c.domain)].ppm);
+  const Tick before = longest(c.phase - chain.offset, p.domains[at(c.domain)].ppm);
+  const bool all = of.last - of.first + 1 >= c.jobs;
+  for (std::int64_t n = all ? 0 : of.first; n <= (all ? c.jobs - 1 : of.last); ++n) {
+    const std::int64_t k = n - floor_div(n, c.jobs) * c.jobs;
     origins.assign(1, {&c, k, before, 0});
     worst = std::max(worst, way.from(0, k, Marks({before, 0}), origins));
   }

@@ -33,8 +33,12 @@ namespace xauto::solver::keys {
 /// chain's source marks so; the source may.
 [[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Windows& w,
                               bool urgent = false);
-/// The same for one way.
+/// Numbers of releases; of any, also below 0 and beyond the hyperperiod.
+struct Releases {
+  std::int64_t first = 0, last = kForever;
+};
+/// The same for one way, of these releases.
 [[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Path& path,
-                              const Windows& w, bool urgent = false);
+                              const Windows& w, bool urgent = false, const Releases& of = {});
 
 }  // namespace xauto::solver::keys

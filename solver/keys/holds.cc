@@ -3,8 +3,8 @@
 
 #include <algorithm>
 
-#include "solver/keys/certificate.h"
 #include "solver/keys/chains.h"
+#include "solver/keys/recertify.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -15,19 +15,15 @@ constexpr int kHalvings = 4;
 class Dropping {
  public:
   Dropping(const Problem& p, const std::vector<int>& xpu, Windows& w, const Until& until)
-      : p_(p), xpu_(xpu), w_(w), until_(until), shared_(shared_xpus(p, xpu)) {
+      : p_(p), xpu_(xpu), w_(w), until_(until), recertifier_(p, xpu, w), sooner_(at(p.num_xnodes)) {
     // By when jobs are ready but for their holds follows from keys, which stay.
     Windows free = w;
     std::ranges::fill(free.hold, 0);
     for (std::size_t d = 0; d < p.domains.size(); ++d)
       derive_ready(p, static_cast<int>(d), xpu, free);
     ready_ = std::move(free.a);
-    for (const Chain& chain : p.chains) {
-      claims_.push_back(claims_of(chain));
-      std::vector<char>& reads = reads_.emplace_back(at(p.num_xnodes), 0);
-      for (const Path& path : chain.paths)
-        for (const int s : path.samples) reads[at(p.samples[at(s)].second)] = 1;
-    }
+    for (const Chain& chain : p.chains)
+      if (is_asked_for(p, chain)) asked_.push_back(asked_of(chain));
   }
 
   void run() {
@@ -42,15 +38,46 @@ class Dropping {
   }
 
  private:
-  /// In microseconds, as they are claimed: of any release, and of an urgent one.
-  [[nodiscard]] std::pair<Tick, Tick> claims_of(const Chain& chain) const {
-    const auto claim = [&](bool urgent) {
-      return p_.up_to_us(std::max(Tick{0}, worst_case(p_, chain, w_, urgent)));
-    };
-    const bool may_be_urgent = std::ranges::any_of(
-        p_.components, [&](const Component& c) { return c.urgent_source == chain.source; });
-    return {claim(false), may_be_urgent ? claim(true) : 0};
+  /// A way of a chain, and who reads on it.
+  struct Way {
+    const Path* path;
+    std::vector<int> readers;
+    int leaves;  ///< the first component by it
+    bool one_domain;
+  };
+  /// A chain whose worst case somebody asks for. Claims are in microseconds: of any release, and of an urgent one.
+  struct Asked {
+    const Chain* chain;
+    bool may_be_urgent;
+    Tick claim = 0, urgent_claim = 0;
+    std::vector<Way> ways;
+  };
+
+  [[nodiscard]] Asked asked_of(const Chain& chain) const {
+    Asked asked{
+        &chain,
+        std::ranges::any_of(p_.components,
+                            [&](const Component& c) { return c.urgent_source == chain.source; }),
+        0,
+        0,
+        {}};
+    for (const Path& path : chain.paths) {
+      Way way{&path,
+              {},
+              path.samples.empty() ? chain.to : p_.samples[at(path.samples.front())].first,
+              true};
+      for (const int s : path.samples) {
+        way.readers.push_back(p_.samples[at(s)].second);
+        way.one_domain =
+            way.one_domain && p_.domain_of(way.readers.back()) == p_.domain_of(way.leaves);
+      }
+      asked.ways.push_back(std::move(way));
+    }
+    asked.claim = up_to_us(worst_case(p_, chain, w_));
+    if (asked.may_be_urgent) asked.urgent_claim = up_to_us(worst_case(p_, chain, w_, true));
+    return asked;
   }
+  [[nodiscard]] Tick up_to_us(Tick t) const { return p_.up_to_us(std::max(Tick{0}, t)); }
 
   [[nodiscard]] std::vector<int> slots_of(int xnode) const {
     std::vector<int> slots;
@@ -105,95 +132,112 @@ class Dropping {
   template <class To>
   bool change(const std::vector<int>& slots, const To& to) {
     const int xnode = p_.slot_xnode[at(slots.front())];
-    before_.clear();
-    const auto save = [&](int i) {
-      for (int s = p_.slot[at(i)]; s < p_.slot[at(i)] + p_.jobs[at(i)]; ++s)
-        before_.push_back({s, w_.a[at(s)], w_.hold[at(s)], w_.e[at(s)]});
-    };
-    save(xnode);
-    for (const int s : slots) w_.hold[at(s)] = to(w_.hold[at(s)]);
-    std::vector<char> touched(at(p_.num_xpus), 0), sooner(at(p_.num_xnodes), 0);
-    // Pairs lead to other components.
+    fallen_.clear();
+    for (std::vector<Sooner>& sooner : sooner_) sooner.clear();
+    // Pairs lead to other components; activations of one number belong together.
     for (const int i : p_.domains[at(p_.domain_of(xnode))].xnodes) {
       if (i != xnode && !p_.before(xnode, i)) continue;
-      if (i != xnode) save(i);
-      for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+      for (const int held : slots) {
+        const int n = held - p_.slot[at(xnode)];
         const std::size_t s = at(p_.slot[at(i)] + n);
-        const Tick a = std::max(ready_[s], w_.hold[s]);
+        const Recertifier::Was was{static_cast<int>(s), w_.a[s], w_.hold[s], w_.e[s]};
+        if (i == xnode) w_.hold[s] = to(w_.hold[s]);
+        w_.a[s] = std::max(ready_[s], w_.hold[s]);
         Tick e = w_.hold[s];
         for (const EdgeEnd& link : p_.pred[at(i)])
           if (p_.one_clock(xpu_[at(link.xnode)], xpu_[at(i)]))
             e = std::max(e, w_.e[p_.slot_of(link.xnode, n)]);
-        if (e != w_.e[s]) sooner[at(i)] = 1;
-        if (e != w_.e[s] || a != w_.a[s]) touched[at(xpu_[at(i)])] = 1;
-        w_.a[s] = a;
         w_.e[s] = e;
+        if (e != was.e) sooner_[at(i)].push_back({n, was.e});
+        if (e != was.e || w_.a[s] != was.a || w_.hold[s] != was.hold) fallen_.push_back(was);
       }
     }
-    if (do_not_fall(xnode) && is_claimed(sooner) && is_certified(touched)) return true;
-    for (const Before& b : before_) {
-      w_.a[at(b.slot)] = b.a;
-      w_.hold[at(b.slot)] = b.hold;
-      w_.e[at(b.slot)] = b.e;
+    if (do_not_fall(xnode, slots) && is_claimed() && recertifier_.still(w_, fallen_)) return true;
+    for (const Recertifier::Was& was : fallen_) {
+      w_.a[at(was.slot)] = was.a;
+      w_.hold[at(was.slot)] = was.hold;
+      w_.e[at(was.slot)] = was.e;
     }
     return false;
   }
 
-  [[nodiscard]] bool do_not_fall(int xnode) const {
+  [[nodiscard]] bool do_not_fall(int xnode, const std::vector<int>& slots) const {
     const Tick period = p_.period_of(xnode);
     const Tick apart = period - lost_in(period, p_.domains[at(p_.domain_of(xnode))].ppm);
-    for (int n = 0; n < p_.jobs[at(xnode)]; ++n)
-      if (w_.hold[p_.slot_of(xnode, n + 1)] + apart < w_.hold[p_.slot_of(xnode, n)]) return false;
-    return true;
+    return std::ranges::all_of(slots, [&](int s) {
+      const int n = s - p_.slot[at(xnode)];
+      const Tick hold = w_.hold[at(s)];
+      return w_.hold[p_.slot_of(xnode, n + 1)] + apart >= hold &&
+             hold + apart >= w_.hold[p_.slot_of(xnode, n - 1)];
+    });
   }
 
-  [[nodiscard]] bool is_claimed(const std::vector<char>& sooner) const {
-    for (std::size_t c = 0; c < p_.chains.size(); ++c) {
-      if (!is_asked_for(p_, p_.chains[c])) continue;
-      bool reads = false;
-      for (std::size_t i = 0; i < sooner.size(); ++i)
-        reads = reads || (sooner[i] != 0 && reads_[c][i] != 0);
-      if (!reads) continue;
-      const auto [any, urgent] = claims_of(p_.chains[c]);
-      if (any > claims_[c].first || urgent > claims_[c].second) return false;
-    }
-    return true;
+  /// Of no chain more than before.
+  [[nodiscard]] bool is_claimed() {
+    return std::ranges::all_of(asked_, [&](const Asked& asked) {
+      return std::ranges::all_of(asked.ways, [&](const Way& way) {
+        if (std::ranges::all_of(way.readers, [&](int v) { return sooner_[at(v)].empty(); }))
+          return true;
+        const auto of = [&](bool urgent, const Releases& releases) {
+          return up_to_us(worst_case(p_, *asked.chain, *way.path, w_, urgent, releases));
+        };
+        if (asked.may_be_urgent || !way.one_domain)
+          return of(false, {}) <= asked.claim &&
+                 (!asked.may_be_urgent || of(true, {}) <= asked.urgent_claim);
+        meet_readers(way, asked);
+        return std::ranges::all_of(releases_, [&](const Releases& releases) {
+          return of(false, releases) <= asked.claim;
+        });
+      });
+    });
   }
 
-  bool is_certified(const std::vector<char>& touched) {
-    if (p_.contended) {  // whom one meets, others on other XPUs meet as well
-      Windows now = w_;
-      return certify(p_, xpu_, now);
+  /// The releases of a way of one domain that may have come to a reader that starts sooner: its activation began after
+  /// the release, and before the way's end.
+  void meet_readers(const Way& way, const Asked& asked) {
+    const Component& c = p_.components[at(p_.component_of[at(way.leaves)])];
+    const std::int64_t ppm = p_.domains[at(c.domain)].ppm;
+    releases_.clear();
+    for (const int v : way.readers) {
+      const Component& cv = p_.components[at(p_.component_of[at(v)])];
+      // Where the clock drifts one activation or the next reads; and time is not quite the clock's.
+      const Tick about = c.phase + asked.chain->offset + 2 * cv.period +
+                         2 * lost_in(asked.claim + cv.period + c.phase, ppm);
+      for (const Sooner& sooner : sooner_[at(v)]) {
+        const Tick release = cv.phase + sooner.number * cv.period;
+        const Tick from = release + w_.e[p_.slot_of(v, sooner.number)] - asked.claim - about;
+        const Tick to = release + sooner.was + about;
+        releases_.push_back(
+            {floor_div(from - c.phase, c.period), floor_div(to - c.phase, c.period) + 1});
+      }
     }
-    if (p_.any_urgent) {
-      derive_urgent(p_, xpu_, w_, urgent_);
-      if (int i = -1; urgent_shortfall(p_, xpu_, w_, urgent_, i) > 0) return false;
-    }
-    for (int m = 0; m < p_.num_xpus; ++m) {
-      // Windows of urgent releases may move where nothing else does.
-      if (touched[at(m)] == 0 && !p_.any_urgent) continue;
-      charge(p_, xpu_, w_, urgent_, m, charges_);
-      if (!certify_xpu(p_, m, xpu_, shared_[at(m)] != 0, w_, urgent_, charges_)) return false;
-    }
-    return true;
+    std::ranges::sort(releases_, {}, &Releases::first);
+    std::size_t kept = 0;
+    for (const Releases& r : releases_)
+      if (kept > 0 && r.first <= releases_[kept - 1].last + 1)
+        releases_[kept - 1].last = std::max(releases_[kept - 1].last, r.last);
+      else
+        releases_[kept++] = r;
+    releases_.resize(kept);
   }
 
-  struct Before {
-    int slot;
-    Tick a, hold, e;
+  /// An activation, and when it started.
+  struct Sooner {
+    std::int64_t number;
+    Tick was;
   };
 
   const Problem& p_;
   const std::vector<int>& xpu_;
   Windows& w_;
   Until until_;
-  std::vector<char> shared_;                   ///< [xpu]
-  std::vector<Tick> ready_;                    ///< [slot] `a` but for the hold
-  std::vector<std::pair<Tick, Tick>> claims_;  ///< [chain]
-  std::vector<std::vector<char>> reads_;       ///< [chain][xnode] it is a reader on some way
-  std::vector<Before> before_;
-  Windows urgent_;
-  Charges charges_;
+  Recertifier recertifier_;
+  std::vector<Tick> ready_;  ///< [slot] `a` but for the hold
+  std::vector<Asked> asked_;
+  // Of one change.
+  std::vector<Recertifier::Was> fallen_;
+  std::vector<std::vector<Sooner>> sooner_;  ///< [xnode]
+  std::vector<Releases> releases_;
 };
 
 }  // namespace

@@ -6,72 +6,10 @@
 #include <map>
 #include <utility>
 
+#include "solver/keys/pair.h"
+
 namespace xauto::solver::keys {
 namespace {
-
-/// XNode i against another one of its XPU. `starts`: [slot] before which no job of j has started in the way
-/// that is asked for; kForever: never.
-struct Pair {
-  const Problem& p;
-  const Windows& w;
-  const std::vector<Tick>& starts;
-  int i, j;
-  Tick least = kForever;  ///< of the starts of j
-  Tick longest = 0;       ///< largest d - start of j; 0: no job of it starts
-  Tick deepest = 0;       ///< largest d of j
-
-  bool apart;  ///< their phase is not known
-
-  Pair(const Problem& problem, const Windows& windows, const std::vector<Tick>& start, int xnode,
-       int other, bool shared)
-      : p(problem),
-        w(windows),
-        starts(start),
-        i(xnode),
-        j(other),
-        apart(p.domain_of(i) != p.domain_of(j) ||
-              (shared && p.component_of[at(i)] != p.component_of[at(j)] &&
-               p.domains[at(p.domain_of(i))].part)) {
-    for (int m = 0; m < p.jobs[at(j)]; ++m) {
-      const std::size_t s = at(p.slot[at(j)] + m);
-      least = std::min(least, starts[s]);
-      longest = std::max(longest, w.d[s] - starts[s]);
-      deepest = std::max(deepest, w.d[s]);
-    }
-  }
-
-  /// Whether some (j, m) may have started when (i, n) becomes ready, with a larger key.
-  [[nodiscard]] bool meets(int n) const { return first(n, true) < kForever; }
-  /// The earliest start of such a job, after the release of (i, n); kForever: there is none. `any`: of any one.
-  [[nodiscard]] Tick first(int n, bool any = false) const {
-    const Component& ci = p.components[at(p.component_of[at(i)])];
-    const Component& cj = p.components[at(p.component_of[at(j)])];
-    const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
-    if (least == kForever) return kForever;
-    if (apart) return longest > d - a ? d - longest : kForever;
-    // A clock that drifts moves releases against each other by up to this within the windows.
-    const Tick blur = lost_in(a + d + deepest, p.domains[at(ci.domain)].ppm);
-    const Tick release = ci.phase + n * ci.period, ready = release + a + blur;
-    std::int64_t m = floor_div(ready - 1 - cj.phase - least, cj.period);
-    // Who waits for whom is of one period and phase: activations of one number belong together.
-    if (p.before(i, j)) m = std::min<std::int64_t>(m, n - 1);
-    if (&ci == &cj) {
-      const int module = p.module_of[at(i)];
-      if (module >= 0 && module == p.module_of[at(j)])
-        m = std::min(m, n + std::min(p.modules[at(module)].in_flight, kMillion) - 1);
-    }
-    const bool waits = p.before(j, i);
-    Tick earliest = kForever;
-    // d + release does not fall from one activation to the next.
-    for (;; --m) {
-      const Tick of = cj.phase + m * cj.period, start = starts[p.slot_of(j, m)];
-      if (of + w.d[p.slot_of(j, m)] + blur <= release + d || (waits && m <= n)) return earliest;
-      if (start == kForever || of + start >= ready) continue;
-      earliest = std::min(earliest, of + start - blur - release);
-      if (any) return earliest;
-    }
-  }
-};
 
 /// XNodes of one XPU whose phases are known: a domain; of a clock that has been split a component; where releases
 /// may be urgent, one XNode.
@@ -142,15 +80,17 @@ class Levels {
       unit.longest.push_back(longest);
       if (unit.longest.size() == std::min(unit.xnodes.size(), at(levels_) + 1)) return;
       std::vector<Tick> next(w_.e.size(), kForever);
-      for (const int i : unit.xnodes)
-        for (const int j : unit.xnodes) {
+      for (const int j : unit.xnodes) {
+        const Starts of = starts_of(p_, w_, unit.starts.back(), j);
+        for (const int i : unit.xnodes) {
           if (i == j) continue;
-          const Pair pair(p_, w_, unit.starts.back(), i, j, false);
+          const Pair pair(p_, w_, unit.starts.back(), of, i, j, false);
           for (int n = 0; n < p_.jobs[at(i)]; ++n) {
             const std::size_t s = at(p_.slot[at(i)] + n);
             next[s] = std::min(next[s], std::max(w_.e[s], pair.first(n)));
           }
         }
+      }
       unit.starts.push_back(std::move(next));
     }
     unit.starts.pop_back();
@@ -246,23 +186,26 @@ void charge_pairs(const Problem& p, const Windows& w, const std::vector<int>& he
   const bool shared = p.beside_others(m) || std::any_of(here.begin(), here.end(), [&](int i) {
                         return p.domain_of(i) != p.domain_of(here.front());
                       });
-  for (const int i : here)
-    for (const int j : here) {
+  for (const int j : here) {
+    const Starts early = starts_of(p, w, w.e, j);
+    const Starts last = limited ? starts_of(p, w, out.last_start, j) : Starts{};
+    for (const int i : here) {
       if (i == j) continue;
-      const auto slots = [&](const std::vector<Tick>& starts, const auto& act) {
-        const Pair pair(p, w, starts, i, j, shared);
+      const auto slots = [&](const std::vector<Tick>& starts, const Starts& of, const auto& act) {
+        const Pair pair(p, w, starts, of, i, j, shared);
         for (int n = 0; n < p.jobs[at(i)]; ++n) act(pair, n, at(p.slot[at(i)] + n));
       };
       if (costs)
-        slots(w.e, [&](const Pair& pair, int n, std::size_t s) {
+        slots(w.e, early, [&](const Pair& pair, int n, std::size_t s) {
           if (out.preempts[s] == 0 && pair.meets(n)) out.preempts[s] = 1;
         });
       const Tick work = work_of_blocker(p, j, m);
       if (limited)
-        slots(out.last_start, [&](const Pair& pair, int n, std::size_t s) {
+        slots(out.last_start, last, [&](const Pair& pair, int n, std::size_t s) {
           if (work > out.blocked_by[s] && pair.meets(n)) out.blocked_by[s] = work;
         });
     }
+  }
 }
 
 /// Of others' jobs any may be preempted, in any phase; and with a reserve those of nobody knows whom.
