@@ -35,6 +35,7 @@ make_root() {
   mount -o remount,ro,bind "$floor/source"
   mount --bind "$out/build" "$floor/build"
   mount -t proc proc "$floor/proc"
+  mount -t sysfs sysfs "$floor/sys"
   mount --rbind /dev "$floor/dev"
 }
 configure() {
@@ -56,7 +57,7 @@ check "unit tests" units
 check "make demo" demo
 plan
 status=$?
-umount -R -l "$floor"/{dev,proc,build,source}
+umount -R -l "$floor"/{dev,sys,proc,build,source}
 rm -rf --one-file-system "$floor"
 exit $status
 }

@@ -254,7 +254,8 @@ TEST(Ros2Trace, ACircleOfMessagesIsCut) {
 
 TEST(Ros2Trace, LostBeginsAndEndsCostTheirCallbackAlone) {
   Events e = ticking(10);
-  std::erase_if(e.trace.events, [n = 0](const TraceEvent& event) mutable {
+  int n = 0;
+  std::erase_if(e.trace.events, [&n](const TraceEvent& event) {
     const std::string name = ros2_events()[static_cast<std::size_t>(event.kind)].name;
     const bool edge = name == "callback_start" || name == "callback_end";
     return edge && (++n == 6 || n == 11);  // an end, and a begin
