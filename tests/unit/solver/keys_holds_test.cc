@@ -168,6 +168,71 @@ TEST(KeysHolds, MostAreNotNeeded) {
   EXPECT_LT(3 * after, before);
 }
 
+/// As claimed, of each chain, and of its urgent releases.
+std::vector<Tick> worst_cases_of(const Problem& p, const Windows& w) {
+  std::vector<Tick> worst;
+  for (const Chain& chain : p.chains)
+    for (const bool urgent : {false, true})
+      worst.push_back(p.up_to_us(worst_case(p, chain, w, urgent && p.any_urgent)));
+  return worst;
+}
+bool no_longer(const std::vector<Tick>& now, const std::vector<Tick>& before) {
+  return std::equal(now.begin(), now.end(), before.begin(), std::less_equal<>());
+}
+
+/// Rates that come round after hundreds of activations, of which a change is looked at around it alone (recertify.h): the whole
+/// certificate, and all releases of each chain, say the same.
+TEST(KeysHolds, WhereRatesComeRoundLate) {
+  int gone = 0, needed = 0, longer = 0;
+  for (std::uint64_t seed = 1; seed <= 90; ++seed) {
+    solver::test::Dice dice(seed);
+    RatedShape shape = shape_of(static_cast<int>(seed % 3));
+    AppSpec app = random_rated_app(dice, shape);
+    const int periods[] = {13, 17, 19};
+    for (std::size_t s = 0; s < app.sources.size(); ++s) {
+      app.sources[s].period = {periods[s]};
+      app.sources[s].offset_us = 0;
+      if (app.sources[s].urgent) app.sources[s].urgent = {dice.roll(1, 6), 4 * periods[s]};
+    }
+    Platform platform = random_rated_platform(dice);
+    for (Xpu& xpu : platform.xpus)
+      if (xpu.preemptive && dice.chance(70)) xpu.preempt_us = 2;
+    const auto answer = solve(app, platform, brief(20));
+    ASSERT_TRUE(answer) << seed;
+    if (answer->outcome != Outcome::kPolicy || !answer->policy.order.empty()) continue;
+    const Problem p = *Problem::create(app, platform);
+    std::vector<int> xpu;
+    for (const Placement& placed : answer->policy.placements) xpu.push_back(placed.xpu);
+    // As late as each job may be held: until what it waits for has ended.
+    Windows w = keys_and_holds(p, answer->policy);
+    ASSERT_TRUE(certify(p, xpu, w)) << seed;
+    Windows held = w;
+    held.hold = held.a;
+    if (!certify(p, xpu, held)) held = w;
+    const std::vector<Tick> worst = worst_cases_of(p, held);
+    const Windows before = held;
+    drop_holds(p, xpu, held);
+    Windows whole = held;
+    ASSERT_TRUE(certify(p, xpu, whole)) << seed;
+    EXPECT_EQ(whole.a, held.a) << seed;
+    EXPECT_EQ(whole.e, held.e) << seed;
+    EXPECT_TRUE(no_longer(worst_cases_of(p, held), worst)) << seed;
+    for (std::size_t s = 0; s < held.hold.size(); ++s) {
+      gone += before.hold[s] > 0 && held.hold[s] == 0;
+      if (held.hold[s] == 0 || !dice.chance(10)) continue;
+      Windows without = held;
+      without.hold[s] = 0;
+      ++needed;
+      if (!certify(p, xpu, without)) continue;
+      EXPECT_FALSE(no_longer(worst_cases_of(p, without), worst)) << seed << ": " << s;
+      ++longer;
+    }
+  }
+  EXPECT_GT(gone, 5000);
+  EXPECT_GT(needed, 100);
+  EXPECT_GT(longer, 50);
+}
+
 /// Pairs lead from one component to another: who is held behind such a pair starts no sooner than its first.
 TEST(KeysHolds, GoAlsoWherePairsJoinComponents) {
   int joined = 0;
