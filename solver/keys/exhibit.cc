@@ -32,11 +32,6 @@ void Exhibitor::push(Tick time, std::int64_t code) {
   std::push_heap(events_.begin(), events_.end(), std::greater<>());
 }
 
-Tick Exhibitor::nominal(std::int64_t job) const {
-  const std::int64_t round = job / jobs_;
-  return round * hyper_ + phase_[ix(job - round * jobs_)];
-}
-
 void Exhibitor::prepare(int domain, const Rule& rule) {
   const Domain& d = p_.domains[at(domain)];
   if (domain_ != domain) {
@@ -48,11 +43,15 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     for (const int c : d.components) slowest = std::max(slowest, p_.components[at(c)].period);
     rounds_ = std::min(kLeastRounds - 2 + kRoundsOfSlowest * slowest / hyper_, kMostRounds);
     rounds_ = std::min(rounds_, std::max(kLeastRounds, kMostSimulated / jobs_));
-    phase_.resize(ix(jobs_));
+    known_.resize(ix(jobs_ * rounds_));
     for (const int i : d.xnodes) {
       const Component& c = p_.components[at(p_.component_of[at(i)])];
-      for (int n = 0; n < c.jobs; ++n)
-        phase_[at(p_.slot[at(i)] + n - base_)] = c.phase % hyper_ + n * c.period;
+      for (int round = 0; round < rounds_; ++round)
+        for (int n = 0; n < c.jobs; ++n) {
+          const int slot = p_.slot[at(i)] + n;
+          known_[ix(round * jobs_ + slot - base_)] = {
+              round * hyper_ + c.phase % hyper_ + n * c.period, slot, i, round, n};
+        }
     }
     const std::size_t jobs = std::max(left_.size(), ix(jobs_ * rounds_));
     left_.resize(jobs);
@@ -141,8 +140,8 @@ bool Exhibitor::release(const Rule& rule, int xnode) {
 
 void Exhibitor::one_less(const Rule& rule, std::int64_t job, Tick now) {
   if (--waits_[ix(job)] > 0) return;
-  const std::int64_t slot = job % jobs_ + base_;
-  const int i = p_.slot_xnode[ix(slot)];
+  const Known& known = known_[ix(job)];
+  const int i = known.xnode;
   if (rule.window[at(i)] != kNoTick) {
     start_[ix(job)] = now;
     push(seen(job, now + rule.window[at(i)]), 4 * job + 1);
@@ -150,20 +149,18 @@ void Exhibitor::one_less(const Rule& rule, std::int64_t job, Tick now) {
   }
   const int m = rule.xpu[at(i)];
   Xpu& x = xpus_[at(m)];
-  const Tick key = nominal(job) + rule.key[ix(slot)];
+  const Tick key = known.nominal + rule.key[at(known.slot)];
   x.ready.push_back({key, job});
   std::push_heap(x.ready.begin(), x.ready.end(), std::greater<>());
   dirty_.push_back(m);
 }
 
 void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
-  const std::int64_t round = job / jobs_, in_round = job - round * jobs_;
-  const int i = p_.slot_xnode[ix(in_round + base_)];
+  const auto& [nominal, slot, i, round, n] = known_[ix(job)];
   finish_[ix(job)] = now;
-  if (!rule.limit.empty() && now - nominal(job) > rule.limit[at(i)]) useless_ = true;
-  ++done_[ix(round)];
+  if (!rule.limit.empty() && now - nominal > rule.limit[at(i)]) useless_ = true;
+  ++done_[at(round)];
   const std::int64_t per_round = p_.jobs[at(i)];
-  const std::int64_t n = in_round + base_ - p_.slot[at(i)];
   for (const EdgeEnd& link : p_.succ[at(i)]) {
     const std::int64_t next = round * jobs_ + p_.slot[at(link.xnode)] - base_ + n;
     const Tick passes = p_.transfer(link, rule.xpu[at(i)], rule.xpu[at(link.xnode)]);
@@ -202,7 +199,7 @@ void Exhibitor::dispatch(const Rule& rule, int xpu, Tick now) {
   if (x.ready.empty()) return;
   if (x.running.job >= 0) {
     if (!(x.running > x.ready.front()) || x.interrupted + 1 >= p_.levels[at(xpu)]) return;
-    if (rule.polite[at(p_.slot_xnode[ix(x.ready.front().job % jobs_ + base_)])] != 0) return;
+    if (rule.polite[at(known_[ix(x.ready.front().job)].xnode)] != 0) return;
     left_[ix(x.running.job)] = x.end - now;
     ++x.interrupted;
     const Ready before = x.running;
@@ -272,7 +269,7 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
       x.running.job = -1;
       x.end = kNever;
       dirty_.push_back(m);
-      const int i = p_.slot_xnode[ix(job % jobs_ + base_)];
+      const int i = known_[ix(job)].xnode;
       const Tick told = seen(job, now + rule.delay[at(i)]);
       if (told == now)
         done(rule, job, now);
@@ -288,7 +285,7 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
         done(rule, job, now);
       } else {
         one_less(rule, job, now);
-        if (code % 4 == 2) static_cast<void>(release(rule, p_.slot_xnode[ix(job % jobs_ + base_)]));
+        if (code % 4 == 2) static_cast<void>(release(rule, known_[ix(job)].xnode));
       }
     }
     for (const int m : dirty_) dispatch(rule, m, now);

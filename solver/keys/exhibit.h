@@ -92,7 +92,9 @@ class Exhibitor {
   [[nodiscard]] bool repeats(std::int64_t round);
   [[nodiscard]] bool piles_up(std::int64_t round);
   void push(Tick time, std::int64_t code);
-  [[nodiscard]] Tick nominal(std::int64_t job) const;
+  [[nodiscard]] Tick nominal(std::int64_t job) const {
+    return known_[static_cast<std::size_t>(job)].nominal;
+  }
 
   const Problem& p_;
   int domain_ = -1;
@@ -101,7 +103,13 @@ class Exhibitor {
   std::int64_t jobs_ = 0;  ///< per hyperperiod; job = round * jobs_ + slot - base_
   std::int64_t rounds_ = 0, prepared_ = 0, equal_ = 0;
   bool useless_ = false;
-  std::vector<Tick> phase_;                ///< [slot - base] nominal release within a hyperperiod
+  /// Of a job what follows from its number, which is asked for often: divisions would take a fifth of the time.
+  struct Known {
+    Tick nominal;  ///< release
+    int slot, xnode, round;
+    int number;  ///< of the activation in its round
+  };
+  std::vector<Known> known_;               ///< [job]
   std::vector<Event> events_;              ///< a heap, earliest on top
   std::vector<std::int64_t> next_;         ///< [xnode] the next activation that its timer releases
   std::vector<std::int16_t> first_waits_;  ///< [slot - base]
