@@ -28,7 +28,7 @@ class Buffers(unittest.TestCase):
         for name, value in (("platform.json", PLATFORM), ("app.json", APP), ("deployment.json", {
                 "schema": "xauto.deployment", "version": 1, "app": "framesapp", **QUEUES})):
             (self.folder / name).write_text(json.dumps(value))
-        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--out", "policy.json",
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--max-evaluations", 100, "--out", "policy.json",
                      cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stderr)
 

@@ -58,13 +58,13 @@ class Columns(unittest.TestCase):
                 self.assertRegex(line, r"[a-z],? [a-z]|" + LONG, "neither a sentence nor one word")
 
     def solved(self, app, out):
-        return self.judge("solve", "--app", app, "--platform", "small", "--time-limit", "1s", "--out", out)
+        return self.judge("solve", "--app", app, "--platform", "small", "--time-limit", "0.3s", "--out", out)
 
     def test_of_a_policy(self):
         for app in (APP, RATES, "everything.json"):
             self.solved(app, "policy.json")
             for verb in ("check", "explain", "simulate"):
-                limit = ("--time-limit", "1s") if verb == "explain" else ()
+                limit = ("--time-limit", "0.3s") if verb == "explain" else ()
                 text = self.judge(verb, "--app", app, "--policy", "policy.json", *limit)
         self.assertIn("…", text)
         self.assertIn("la.pre" + LONG, xauto("simulate", "--app", app, "--policy", "policy.json", "--json", cwd=self.folder).stdout)
@@ -74,12 +74,12 @@ class Columns(unittest.TestCase):
         for xnode in app["xnodes"]:
             xnode["wcet_us"] = {kind: 3 * us for kind, us in xnode["wcet_us"].items()}
         self.write("much.json", app)
-        self.judge("solve", "--app", "much.json", "--platform", "small", "--time-limit", "1s", "--out", "much.policy.json", status=(1,))
+        self.judge("solve", "--app", "much.json", "--platform", "small", "--time-limit", "0.3s", "--out", "much.policy.json", status=(1,))
 
     def test_of_tables(self):
         for app, scenarios in (("chains.json", "one"), ("everything.json", "two")):
             self.judge("solve", "--app", app, "--platform", "small", "--scenarios", f"{scenarios}.scenarios.json", "--tables", 3,
-                       "--time-limit", "3s", "--out", "tables.json")
+                       "--time-limit", "1s", "--out", "tables.json")
             self.judge("check", "--app", app, "--policy", "tables.json")
 
     def test_of_runs(self):
@@ -90,7 +90,7 @@ class Columns(unittest.TestCase):
                 self.solved(app, policy)
             self.judge("run", "--app", app, *emulated, "--policy", policy, "--activations", 5, "--trace-out", "t.pftrace", "--", program)
             self.judge("explain", "--trace", "t.pftrace")
-            self.judge("compare", "--app", app, *emulated, "--activations", 2, "--time-limit", "1s", "--out", "compared", "--", program)
+            self.judge("compare", "--app", app, *emulated, "--activations", 2, "--time-limit", "0.3s", "--out", "compared", "--", program)
         self.judge("run", "--app", APP, *emulated, "--policy", "driving.json", "--activations", 2, "--name", "night" + LONG, "--", DRIVING)
 
     def test_of_a_run_that_goes_on(self):

@@ -61,7 +61,7 @@ class Solve(unittest.TestCase):
 
     def test_a_missed_deadline_is_status_1_proven_or_not(self):
         app = self.app(40, 5)
-        limits = "--max-evaluations", 1, "--threads", 1
+        limits = "--max-evaluations", 1, "--threads", 1, "--time-limit", "1s"
         out = json.loads(self.solve(app, *limits, "--json")[1])
         between = int(out["objective"]["largest"]["value"] + out["objective"]["largest"]["lower_bound"]) // 2
         spec = json.loads(app.read_text())
@@ -92,12 +92,12 @@ class Solve(unittest.TestCase):
                 {"name": "spiky", "module": "m", "source": "s", "wcet_us": {"cpu": 32000}, "typical_us": {"cpu": 600}},
                 {"name": "calm", "module": "n", "source": "s", "wcet_us": {"cpu": 900}, "typical_us": {"cpu": 500}}]}))
             done = xauto("solve", "--app", app, "--platform", "small", "--scenarios", scenarios, "--tables", 2,
-                         "--time-limit", "2s")
+                         "--time-limit", "0.5s")
             self.assertEqual(done.returncode, code, done.stdout + done.stderr)
             self.assertEqual("usually 0.600 ms" in done.stdout + done.stderr, named != [], done.stdout + done.stderr)
             if named is not None:
                 told = json.loads(xauto("solve", "--app", app, "--platform", "small", "--scenarios", scenarios, "--tables",
-                                        2, "--time-limit", "2s", "--json").stdout)
+                                        2, "--time-limit", "0.5s", "--json").stdout)
                 self.assertEqual([r["xnode"] for r in told.get("rare_wcets", [])], named)
 
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
