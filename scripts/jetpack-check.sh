@@ -49,7 +49,7 @@ programs() { find "$tree/usr" -type f \( -path '*/libexec/xauto/*' -o -name 'lib
 needs() {
   local program
   programs >"$out/programs"
-  [ "$(wc -l <"$out/programs")" -eq 6 ] # library, four programs, what is preloaded
+  [ "$(wc -l <"$out/programs")" -eq 8 ] # library, six programs, what is preloaded
   while read -r program; do
     readelf -h "$program" | grep -q AArch64
     readelf -d "$program" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p' >"$out/needed"
@@ -71,6 +71,7 @@ depends() {
         libstdc++6) limit=10.3.0-1ubuntu1~20.04 ;;
         libgcc-s1) limit=10.3.0-1ubuntu1~20.04 ;;
         dkms) limit=2.8.1-5ubuntu1 ;;
+        python3:any) limit=3.8.2-0ubuntu2 ;;
         libxauto1) continue ;;
         *) echo "$(basename "$deb") needs $name"; exit 1 ;;
       esac
@@ -79,6 +80,7 @@ depends() {
       dpkg --compare-versions "$version" le "$limit"
     done
   done
+  python3 -c 'import ast, sys; [ast.parse(open(f).read(), f, feature_version=(3, 8)) for f in sys.argv[1:]]' tools/python/xauto/*.py
 }
 doctor() {
   "$tool" doctor | tee "$out/said"
