@@ -106,8 +106,7 @@ bool fits_alone(std::vector<LaidJob>& jobs, Tick hyper, Misfit* misfit, BusyInte
   return true;
 }
 
-FittingAlone::FittingAlone(Tick hyper, int count, const Jobs& jobs)
-    : hyper_(hyper), jobs_(at(count)) {
+FittingAlone::FittingAlone(Tick hyper, const Jobs& jobs) : hyper_(hyper), jobs_(jobs.size()) {
   for (const auto& [number, job] : jobs) {
     jobs_[at(number)] = job;
     order_.emplace(job.arrival, number);

@@ -40,8 +40,8 @@ class FittingAlone {
  public:
   using Jobs = std::vector<std::pair<int, LaidJob>>;  ///< each with its number
 
-  /// `jobs` fit. Their numbers are below `count`.
-  FittingAlone(Tick hyper, int count, const Jobs& jobs);
+  /// `jobs` fit, and are numbered from 0.
+  FittingAlone(Tick hyper, const Jobs& jobs);
   /// Whether all is in time if these become so. If so they have.
   [[nodiscard]] bool change(const Jobs& jobs);
   /// Takes the last change back, which was made.

@@ -8,7 +8,11 @@
 namespace xauto::solver::keys {
 
 Recertifier::Recertifier(const Problem& p, const std::vector<int>& xpu, const Windows& w)
-    : p_(p), xpu_(xpu), lanes_(at(p.num_xpus)), early_(at(p.num_xnodes)) {
+    : p_(p),
+      xpu_(xpu),
+      lanes_(at(p.num_xpus)),
+      early_(at(p.num_xnodes)),
+      number_(at(p.num_slots), -1) {
   derive_urgent(p, xpu, w, urgent_);
   charge(p, xpu, w, urgent_, -1, charges_);
   const std::vector<char> shared = shared_xpus(p, xpu);
@@ -30,10 +34,12 @@ Recertifier::Recertifier(const Problem& p, const std::vector<int>& xpu, const Wi
     FittingAlone::Jobs jobs;
     for (const int i : lane.xnodes)
       for (int n = 0; n < p.jobs[at(i)]; ++n) {
-        const int s = p.slot[at(i)] + n;
-        jobs.emplace_back(s, laid(p, w, i, n, m, charges_.preempts[at(s)] != 0, 0, lane.pad));
+        const std::size_t slot = at(p.slot[at(i)] + n);
+        number_[slot] = static_cast<int>(jobs.size());
+        jobs.emplace_back(number_[slot],
+                          laid(p, w, i, n, m, charges_.preempts[slot] != 0, 0, lane.pad));
       }
-    lane.alone.emplace(domain.hyper, p.num_slots, jobs);
+    lane.alone.emplace(domain.hyper, jobs);
   }
 }
 
@@ -95,8 +101,7 @@ bool Recertifier::pays_no_more(int m, const Windows& w) {
   FittingAlone::Jobs jobs;
   for (const std::size_t s : slots) {
     const int i = p_.slot_xnode[s], n = static_cast<int>(s) - p_.slot[at(i)];
-    jobs.emplace_back(static_cast<int>(s),
-                      laid(p_, w, i, n, m, charges_.preempts[s] != 0, 0, lane.pad));
+    jobs.emplace_back(number_[s], laid(p_, w, i, n, m, charges_.preempts[s] != 0, 0, lane.pad));
   }
   if (!lane.alone->change(jobs)) return false;
   changed_.push_back(m);

@@ -55,6 +55,7 @@ class Recertifier {
   std::vector<Lane> lanes_;    ///< [xpu]
   Charges charges_;            ///< of XPUs where it is asked who pays: that alone
   std::vector<Starts> early_;  ///< [xnode] by e
+  std::vector<int> number_;    ///< [slot] in its XPU's `alone`
   Windows urgent_;
   // Of this call.
   std::vector<std::pair<std::size_t, char>> paid_;  ///< slot, and before

@@ -78,7 +78,7 @@ TEST(KeysRecertify, AroundAChangeIsAsTheWholePattern) {
     }
     FittingAlone::Jobs numbered;
     for (std::size_t k = 0; k < jobs.size(); ++k) numbered.emplace_back(k, jobs[k]);
-    FittingAlone kept(hyper, static_cast<int>(jobs.size()), numbered);
+    FittingAlone kept(hyper, numbered);
     for (int k = 0; k < 100 && !jobs.empty(); ++k) {
       FittingAlone::Jobs change;
       std::vector<LaidJob> next = jobs;
