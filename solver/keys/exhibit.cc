@@ -43,15 +43,11 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     for (const int c : d.components) slowest = std::max(slowest, p_.components[at(c)].period);
     rounds_ = std::min(kLeastRounds - 2 + kRoundsOfSlowest * slowest / hyper_, kMostRounds);
     rounds_ = std::min(rounds_, std::max(kLeastRounds, kMostSimulated / jobs_));
-    known_.resize(ix(jobs_ * rounds_));
+    known_.resize(ix(jobs_));
     for (const int i : d.xnodes) {
       const Component& c = p_.components[at(p_.component_of[at(i)])];
-      for (int round = 0; round < rounds_; ++round)
-        for (int n = 0; n < c.jobs; ++n) {
-          const int slot = p_.slot[at(i)] + n;
-          known_[ix(round * jobs_ + slot - base_)] = {
-              round * hyper_ + c.phase % hyper_ + n * c.period, slot, i, round, n};
-        }
+      for (int n = 0; n < c.jobs; ++n)
+        known_[at(p_.slot[at(i)] + n - base_)] = {c.phase % hyper_ + n * c.period, i, n};
     }
     const std::size_t jobs = std::max(left_.size(), ix(jobs_ * rounds_));
     left_.resize(jobs);
@@ -131,7 +127,7 @@ bool Exhibitor::release(const Rule& rule, int xnode) {
   if (n >= per_round * rounds_) return false;
   if (n / per_round >= prepared_) prepare_rounds(rule, n / per_round);
   const std::int64_t slot = p_.slot[at(xnode)] + n % per_round;
-  const std::int64_t job = n / per_round * jobs_ + slot - base_;
+  const std::int64_t job = job_of(n / per_round, slot - base_);
   const Tick ready =
       std::max(p_.root[at(xnode)] != 0 ? p_.root_ready[at(xnode)] : 0, rule.hold[ix(slot)]);
   push(nominal(job) + ready, 4 * job + 2);
@@ -139,30 +135,31 @@ bool Exhibitor::release(const Rule& rule, int xnode) {
 }
 
 void Exhibitor::one_less(const Rule& rule, std::int64_t job, Tick now) {
-  if (--waits_[ix(job)] > 0) return;
-  const Known& known = known_[ix(job)];
-  const int i = known.xnode;
+  const std::size_t k = place(job);
+  if (--waits_[k] > 0) return;
+  const int i = known(job).xnode;
   if (rule.window[at(i)] != kNoTick) {
-    start_[ix(job)] = now;
+    start_[k] = now;
     push(seen(job, now + rule.window[at(i)]), 4 * job + 1);
     return;
   }
   const int m = rule.xpu[at(i)];
   Xpu& x = xpus_[at(m)];
-  const Tick key = known.nominal + rule.key[at(known.slot)];
+  const Tick key = nominal(job) + rule.key[at(base_) + ix(in_round(job))];
   x.ready.push_back({key, job});
   std::push_heap(x.ready.begin(), x.ready.end(), std::greater<>());
   dirty_.push_back(m);
 }
 
 void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
-  const auto& [nominal, slot, i, round, n] = known_[ix(job)];
-  finish_[ix(job)] = now;
-  if (!rule.limit.empty() && now - nominal > rule.limit[at(i)]) useless_ = true;
-  ++done_[at(round)];
+  const int i = known(job).xnode, n = known(job).number;
+  const std::int64_t round = round_of(job);
+  finish_[place(job)] = now;
+  if (!rule.limit.empty() && now - nominal(job) > rule.limit[at(i)]) useless_ = true;
+  ++done_[ix(round)];
   const std::int64_t per_round = p_.jobs[at(i)];
   for (const EdgeEnd& link : p_.succ[at(i)]) {
-    const std::int64_t next = round * jobs_ + p_.slot[at(link.xnode)] - base_ + n;
+    const std::int64_t next = job_of(round, p_.slot[at(link.xnode)] - base_ + n);
     const Tick passes = p_.transfer(link, rule.xpu[at(i)], rule.xpu[at(link.xnode)]);
     if (passes == 0)
       one_less(rule, next, now);
@@ -180,7 +177,7 @@ void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
   const Tick lost = lost_in(mod.in_flight * p_.period_of(i), p_.domains[at(domain_)].ppm);
   for (const int e : mod.entries) {
     const std::int64_t next =
-        admitted / per_round * jobs_ + p_.slot[at(e)] - base_ + admitted % per_round;
+        job_of(admitted / per_round, p_.slot[at(e)] - base_ + admitted % per_round);
     if (lost == 0)
       one_less(rule, next, now);
     else
@@ -199,8 +196,8 @@ void Exhibitor::dispatch(const Rule& rule, int xpu, Tick now) {
   if (x.ready.empty()) return;
   if (x.running.job >= 0) {
     if (!(x.running > x.ready.front()) || x.interrupted + 1 >= p_.levels[at(xpu)]) return;
-    if (rule.polite[at(known_[ix(x.ready.front().job)].xnode)] != 0) return;
-    left_[ix(x.running.job)] = x.end - now;
+    if (rule.polite[at(known(x.ready.front().job).xnode)] != 0) return;
+    left_[place(x.running.job)] = x.end - now;
     ++x.interrupted;
     const Ready before = x.running;
     std::pop_heap(x.ready.begin(), x.ready.end(), std::greater<>());
@@ -212,15 +209,16 @@ void Exhibitor::dispatch(const Rule& rule, int xpu, Tick now) {
     x.running = x.ready.back();
     x.ready.pop_back();
   }
-  Tick& start = start_[ix(x.running.job)];
+  const std::size_t k = place(x.running.job);
+  Tick& start = start_[k];
   if (start >= 0) {
     --x.interrupted;
   } else {
     start = now;
     // Who is interrupted has the larger key: it may be running when this one starts.
-    if (x.interrupted > 0) left_[ix(x.running.job)] += rule.cost[at(xpu)];
+    if (x.interrupted > 0) left_[k] += rule.cost[at(xpu)];
   }
-  x.end = now + left_[ix(x.running.job)];
+  x.end = now + left_[k];
 }
 
 /// Jobs of several rounds meet where latencies are longer than a hyperperiod: so many rounds in a
@@ -269,7 +267,7 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
       x.running.job = -1;
       x.end = kNever;
       dirty_.push_back(m);
-      const int i = known_[ix(job)].xnode;
+      const int i = known(job).xnode;
       const Tick told = seen(job, now + rule.delay[at(i)]);
       if (told == now)
         done(rule, job, now);
@@ -285,7 +283,7 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
         done(rule, job, now);
       } else {
         one_less(rule, job, now);
-        if (code % 4 == 2) static_cast<void>(release(rule, known_[ix(job)].xnode));
+        if (code % 4 == 2) static_cast<void>(release(rule, known(job).xnode));
       }
     }
     for (const int m : dirty_) dispatch(rule, m, now);
@@ -295,9 +293,9 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
         continue;
       }
       for (std::int64_t k = 0; k < jobs_; ++k) {
-        const std::int64_t job = round * jobs_ + k;
-        schedule.start[ix(base_ + k)] = start_[ix(job)] - nominal(job);
-        schedule.finish[ix(base_ + k)] = finish_[ix(job)] - nominal(job);
+        const std::int64_t job = job_of(round, k);
+        schedule.start[ix(base_ + k)] = start_[place(job)] - nominal(job);
+        schedule.finish[ix(base_ + k)] = finish_[place(job)] - nominal(job);
       }
       return true;
     }

@@ -44,8 +44,8 @@ class Exhibitor {
   /// What a run needs only while it lasts, as large as the largest domain needs it: for several
   /// exhibitors that take turns.
   struct Scratch {
-    std::vector<std::int16_t> waits;        ///< [job] things that it waits for
-    std::vector<Tick> left, start, finish;  ///< [job]
+    std::vector<std::int16_t> waits;        ///< [place] things that it waits for
+    std::vector<Tick> left, start, finish;  ///< [place] of a job
     std::vector<std::int64_t> in_module;    ///< [module offset + activation] XNodes not yet done
   };
   Exhibitor(const Problem& problem, std::shared_ptr<Scratch> scratch)
@@ -75,6 +75,11 @@ class Exhibitor {
     std::int64_t job;
     bool operator>(const Ready& o) const { return key != o.key ? key > o.key : job > o.job; }
   };
+  struct Known {
+    Tick nominal;  ///< release within a hyperperiod
+    int xnode;
+    int number;  ///< of the activation there
+  };
   struct Xpu {
     std::vector<Ready> ready;  ///< a heap, smallest key on top
     Ready running = {0, -1};
@@ -92,24 +97,30 @@ class Exhibitor {
   [[nodiscard]] bool repeats(std::int64_t round);
   [[nodiscard]] bool piles_up(std::int64_t round);
   void push(Tick time, std::int64_t code);
+  /// A job is its round, and its place in that: no division takes it apart.
+  [[nodiscard]] static std::int64_t job_of(std::int64_t round, std::int64_t in_round) {
+    return (round << 32) + in_round;
+  }
+  [[nodiscard]] static std::int64_t round_of(std::int64_t job) { return job >> 32; }
+  [[nodiscard]] static std::int64_t in_round(std::int64_t job) { return job & 0xffffffff; }
+  [[nodiscard]] std::size_t place(std::int64_t job) const {
+    return static_cast<std::size_t>(round_of(job) * jobs_ + in_round(job));
+  }
+  [[nodiscard]] const Known& known(std::int64_t job) const {
+    return known_[static_cast<std::size_t>(in_round(job))];
+  }
   [[nodiscard]] Tick nominal(std::int64_t job) const {
-    return known_[static_cast<std::size_t>(job)].nominal;
+    return round_of(job) * hyper_ + known(job).nominal;
   }
 
   const Problem& p_;
   int domain_ = -1;
   Tick hyper_ = 0;
   int base_ = 0;           ///< first slot of the domain: its slots are contiguous
-  std::int64_t jobs_ = 0;  ///< per hyperperiod; job = round * jobs_ + slot - base_
+  std::int64_t jobs_ = 0;  ///< per hyperperiod
   std::int64_t rounds_ = 0, prepared_ = 0, equal_ = 0;
   bool useless_ = false;
-  /// Of a job what follows from its number, which is asked for often: divisions would take a fifth of the time.
-  struct Known {
-    Tick nominal;  ///< release
-    int slot, xnode, round;
-    int number;  ///< of the activation in its round
-  };
-  std::vector<Known> known_;               ///< [job]
+  std::vector<Known> known_;               ///< [slot - base]
   std::vector<Event> events_;              ///< a heap, earliest on top
   std::vector<std::int64_t> next_;         ///< [xnode] the next activation that its timer releases
   std::vector<std::int16_t> first_waits_;  ///< [slot - base]
