@@ -7,7 +7,7 @@ set -uo pipefail
 cd "$(dirname "$0")" || exit 2
 . ./tap.sh
 here=$PWD
-packages="libxauto1 libxauto-dev xauto-tools xauto-dkms"
+packages="libxauto1 libxauto-dev xauto-tools xauto-dkms python3-xauto"
 LIMIT_S=900
 
 listing() {
