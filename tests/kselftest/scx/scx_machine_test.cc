@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <fstream>
 #include <numeric>
+#include <sstream>
+#include <string>
 
 #include <fcntl.h>
 #include <linux/sched.h>
@@ -732,6 +734,24 @@ void second_app() {
 
 // ---- clusters -----------------------------------------------------------------------------------
 
+/// To the first CPU, of the kernel's threads, those that may: kdamond wakes up every 5 ms wherever it is.
+void move_kernel_threads() {
+  constexpr unsigned long kKernelThread = 0x200000;  // PF_KTHREAD, field 9 of proc_pid_stat(5)
+  cpu_set_t first;
+  CPU_ZERO(&first);
+  CPU_SET(0, &first);
+  for (const auto& entry : std::filesystem::directory_iterator("/proc")) {
+    std::string stat;
+    std::getline(std::ifstream(entry.path() / "stat"), stat);
+    std::istringstream fields(stat.substr(std::min(stat.size(), stat.rfind(')') + 1)));
+    std::string word;
+    for (int field = 3; field < 9; ++field) fields >> word;
+    unsigned long flags = 0;
+    if (fields >> flags && (flags & kKernelThread) != 0)
+      (void)sched_setaffinity(std::stoi(entry.path().filename()), sizeof first, &first);
+  }
+}
+
 /// An ordinary thread that loses its CPU to an XNode goes to the idle CPU that shares a cache with it.
 void clusters() {
   constexpr int kRounds = 20;
@@ -744,6 +764,7 @@ void clusters() {
   const int last = static_cast<int>(of.size()) - 1;
   const auto cluster = [&](int cpu) { return cpu < 0 ? -1 : of[static_cast<std::size_t>(cpu)]; };
   pin(0);  // this thread wakes the XNode: on the idle CPU of the other's cluster it would not be idle
+  move_kernel_threads();
   World world(1, last);
   world.load();
   std::atomic<bool> stop{false}, busy{false};
