@@ -69,8 +69,11 @@ class Python(unittest.TestCase):
                 package.load(self.path(name), "xauto.report")
             self.assertIn(says, str(refused.exception))
             self.assertIn(str(self.path(name)), str(refused.exception))
+        # Cut within a packet, and where a packet begins other bytes: those of a string could be any.
         whole = self.path("run.pftrace").read_bytes()
-        for part in (whole[:1000], whole[:-7], b"no trace", whole[:2000] + b"\xff" * 100 + whole[2100:]):
+        packets = packet_starts(whole)
+        middle = packets[len(packets) // 2]
+        for part in (whole[:middle + 2], whole[:packets[-1] + 2], b"no trace", whole[:middle] + b"\xff" * 100 + whole[middle + 100:]):
             self.path("part.pftrace").write_bytes(part)
             with self.assertRaises(ValueError) as refused:
                 package.jobs(self.path("part.pftrace"))
@@ -89,6 +92,25 @@ class Python(unittest.TestCase):
                 done = subprocess.run([python, "-c", shows, str(path)], capture_output=True, text=True,
                                       env=dict(os.environ, FOLDER=str(self.folder), PYTHONPATH=str(PYTHON)))
                 self.assertEqual(done.returncode, 0, done.stderr)
+
+
+def packet_starts(trace):
+    """Of a Perfetto trace: each packet is field 1, with its length before it (protobuf's encoding)."""
+    starts, at = [], 0
+    while at < len(trace):
+        starts.append(at)
+        assert trace[at] == 0x0A, at
+        at += 1
+        length = shift = 0
+        while True:
+            byte = trace[at]
+            at += 1
+            length |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                break
+        at += length
+    return starts
 
 
 if __name__ == "__main__":
