@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <utility>
 
 namespace xauto::solver::keys {
 namespace {
@@ -111,19 +112,14 @@ FittingAlone::FittingAlone(Tick hyper, const Jobs& jobs) : hyper_(hyper), jobs_(
     jobs_[at(number)] = job;
     order_.emplace(job.arrival, number);
   }
-  (void)whole();
+  (void)whole(busy_);
 }
 
-bool FittingAlone::whole() {
+bool FittingAlone::whole(BusyIntervals& busy) const {
   std::vector<LaidJob> jobs;
   jobs.reserve(order_.size());
   for (const auto& [arrival, number] : order_) jobs.push_back(jobs_[at(number)]);
-  BusyIntervals now;
-  if (!fits_alone(jobs, hyper_, nullptr, &now)) return false;
-  gone_ = std::move(busy_);
-  busy_ = std::move(now);
-  come_ = busy_;
-  return true;
+  return fits_alone(jobs, hyper_, nullptr, &busy);
 }
 
 void FittingAlone::put(const Jobs& jobs) {
@@ -161,10 +157,11 @@ bool FittingAlone::change(const Jobs& jobs) {
     spans.push_back(std::move(span));
     apart = spans.back().to <= spans.front().from + hyper_;
   }
-  if (fits && !apart)
-    fits = whole();
-  else if (fits)
-    replace(spans);
+  if (fits && apart) replace(spans);
+  if (fits && !apart) {
+    fits = whole(come_);
+    if (fits) gone_ = std::exchange(busy_, come_);
+  }
   if (!fits) put(were_);
   return fits;
 }

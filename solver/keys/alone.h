@@ -54,7 +54,7 @@ class FittingAlone {
   };
 
   void put(const Jobs& jobs);
-  [[nodiscard]] bool whole();
+  [[nodiscard]] bool whole(BusyIntervals& busy) const;
   [[nodiscard]] bool around(Tick instant, Span& span) const;
   [[nodiscard]] Tick begin_of_busy(Tick instant) const;
   [[nodiscard]] Tick end_of_busy(Tick instant) const;

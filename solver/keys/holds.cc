@@ -200,7 +200,8 @@ class Dropping {
     releases_.clear();
     for (const int v : way.readers) {
       const Component& cv = p_.components[at(p_.component_of[at(v)])];
-      // Where the clock drifts one activation or the next reads, and time is not quite the clock's; an urgent one starts sooner.
+      // Where the clock drifts one activation or the next reads, and time is not quite the clock's; an urgent one
+      // starts sooner.
       const Tick about = c.phase + asked.chain->offset + 2 * cv.period + p_.urgent_by(v) +
                          2 * lost_in(asked.claim + cv.period + c.phase, ppm);
       for (const Sooner& sooner : sooner_[at(v)]) {

@@ -13,8 +13,10 @@ Recertifier::Recertifier(const Problem& p, const std::vector<int>& xpu, const Wi
       lanes_(at(p.num_xpus)),
       early_(at(p.num_xnodes)),
       number_(at(p.num_slots), -1) {
-  derive_urgent(p, xpu, w, urgent_);
-  charge(p, xpu, w, urgent_, -1, charges_);
+  charges_.preempts.assign(at(p.num_slots), 0);
+  charges_.blocked_by.assign(at(p.num_slots), 0);
+  charges_.last_start.assign(at(p.num_slots), kForever);
+  charges_.urgent_preempts.assign(at(p.num_xnodes), 0);
   const std::vector<char> shared = shared_xpus(p, xpu);
   for (int i = 0; i < p.num_xnodes; ++i) {
     lanes_[at(xpu[at(i)])].xnodes.push_back(i);
@@ -26,7 +28,12 @@ Recertifier::Recertifier(const Problem& p, const std::vector<int>& xpu, const Wi
     if (lane.xnodes.empty() || p.any_urgent || p.levels[at(m)] != kAnyLevels || p.beside_others(m))
       continue;
     lane.kind = p.preemptive[at(m)] != 0 && p.preempt[at(m)] > 0 ? Kind::kPays : Kind::kKeeps;
-    if (lane.kind != Kind::kPays || lane.shared) continue;
+    if (lane.kind != Kind::kPays) continue;
+    charge(p, xpu, w, urgent_, m, all_charges_);
+    for (const int i : lane.xnodes)
+      std::copy_n(all_charges_.preempts.begin() + p.slot[at(i)], p.jobs[at(i)],
+                  charges_.preempts.begin() + p.slot[at(i)]);
+    if (lane.shared) continue;
     Tick deepest = 0;
     for (const int i : lane.xnodes) deepest = std::max(deepest, early_[at(i)].deepest);
     const Domain& domain = p.domains[at(p.domain_of(lane.xnodes.front()))];

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Whether a certified policy still is one when some of its jobs may start sooner: their a and e fall, their d stay.
 //
-// Windows only grow then. Of the intervals that hold some of them, the old ones were no longer: no interval's demand grows,
-// but by who may preempt now and pays for it. So an XPU where nobody pays, and nobody is blocked, keeps its certificate;
-// one of one domain is looked at only around what changed (alone.h); the others are tested where somebody pays anew.
+// Windows only grow then. Of the intervals that hold some of them, the old ones were no longer: no interval's demand
+// grows, but by who may preempt now and pays for it. So an XPU where nobody pays, and nobody is blocked, keeps its
+// certificate; one of one domain is looked at only around what changed (alone.h); one of several is tested where somebody
+// pays anew. With levels, urgent releases, others beside or contention all is tested each time.
 #pragma once
 
 #include <optional>

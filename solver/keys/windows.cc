@@ -187,7 +187,7 @@ void charge_pairs(const Problem& p, const Windows& w, const std::vector<int>& he
                         return p.domain_of(i) != p.domain_of(here.front());
                       });
   for (const int j : here) {
-    const Starts early = starts_of(p, w, w.e, j);
+    const Starts early = costs ? starts_of(p, w, w.e, j) : Starts{};
     const Starts last = limited ? starts_of(p, w, out.last_start, j) : Starts{};
     for (const int i : here) {
       if (i == j) continue;

@@ -95,21 +95,12 @@ class Python(unittest.TestCase):
 
 
 def packet_starts(trace):
-    """Of a Perfetto trace: each packet is field 1, with its length before it (protobuf's encoding)."""
+    """Each packet of it is a tag, its length, and itself; all of them together are the trace."""
     starts, at = [], 0
-    while at < len(trace):
+    for _, packet in package.pftrace.fields(trace):
         starts.append(at)
-        assert trace[at] == 0x0A, at
-        at += 1
-        length = shift = 0
-        while True:
-            byte = trace[at]
-            at += 1
-            length |= (byte & 0x7F) << shift
-            shift += 7
-            if byte < 0x80:
-                break
-        at += length
+        at += 1 + -(-len(packet).bit_length() // 7) + len(packet)
+    assert at == len(trace), (at, len(trace))
     return starts
 
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Holds of the solver's policies, against the checker, which shares no code with it: each of them is needed.
 #include <algorithm>
+#include <functional>
 #include <optional>
 
 #include <gtest/gtest.h>
@@ -180,8 +181,8 @@ bool no_longer(const std::vector<Tick>& now, const std::vector<Tick>& before) {
   return std::equal(now.begin(), now.end(), before.begin(), std::less_equal<>());
 }
 
-/// Rates that come round after hundreds of activations, of which a change is looked at around it alone (recertify.h): the whole
-/// certificate, and all releases of each chain, say the same.
+/// Rates that come round after hundreds of activations, of which a change is looked at around it alone (recertify.h):
+/// the whole certificate, and all releases of each chain, say the same.
 TEST(KeysHolds, WhereRatesComeRoundLate) {
   int gone = 0, needed = 0, longer = 0;
   for (std::uint64_t seed = 1; seed <= 90; ++seed) {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is looked at around a change alone, against the same as a whole: jobs of one XPU against the processor demand of every
-// interval (Baruah, Rosier, Howell 1990), which shares no code with it; a policy against its whole certificate.
+// What is looked at around a change alone, against the same as a whole: jobs of one XPU against the processor demand of
+// every interval (Baruah, Rosier, Howell 1990), which shares no code with it; a policy against its whole certificate.
 #include <algorithm>
+#include <optional>
 
 #include <gtest/gtest.h>
 
