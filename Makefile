@@ -40,7 +40,7 @@ check-fast:
 	@JOBS=$(JOBS) scripts/check.sh fast
 
 check-full:
-	@scripts/setup.sh build check transport pedestrians kernel package jetpack
+	@scripts/setup.sh build check transport pedestrians kernel kernel-build kernel-arm64 package jetpack
 	@scripts/fetch-video.sh
 	@scripts/vm/fetch-source.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true

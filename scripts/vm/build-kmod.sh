@@ -23,7 +23,7 @@ cp -r "$root/include/uapi" "$out/include/"
 read -r -a needs <"$kernel/needs"
 log=$out/build.log
 if ! make -C "$kernel/build" M="$out" "${cross[@]}" "${needs[@]}" W=1 "$@" modules >"$log" 2>&1; then
-  grep -E 'error|warning|undefined' -A 4 "$log" | head -n 40 >&2
+  { grep -E -i 'error|warning|undefined|not found' -A 4 "$log" || tail -n 8 "$log"; } | head -n 40 >&2
   echo "build-kmod: failed against $(cat "$kernel/release"); the log is $log" >&2
   exit 1
 fi
