@@ -129,12 +129,13 @@ style() {
 # access to memory: a quarter of what that build cost.
 release=(xauto xauto-coordinator xauto-emud xauto-cpusched xauto-system xauto-standin driving camera integration_programs xauto_shared xauto_watch xauto_help heavy_tests test_solver)
 threaded='base|trace|coord|transport|processes|runtime'
-unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
+unit() { build ci build "${release[@]}" && { heavy; integration build -LE long; }; }
 # They mostly wait: a quarter of their time is work.
 integration() { local dir=$1 parallel=$((3 * jobs)); shift; tests "$dir" -L integration "$@"; }
 asan_build() { build asan build-asan unit_tests fuzzers; }
-asan_tests() { note "tests, ASan+UBSan"; areas build-asan; tests build-asan -L fuzz; }
-asan() { asan_build && asan_tests; }
+fuzzers() { note "fuzzers"; tests build-asan -L fuzz; }
+asan_tests() { note "tests, ASan+UBSan"; areas build-asan; }
+asan() { asan_build && asan_tests && fuzzers; }
 tsan_build() {
   local targets
   IFS='|' read -ra targets <<<"$threaded"
@@ -142,20 +143,24 @@ tsan_build() {
 }
 tsan_tests() { note "tests, TSan"; areas build-tsan -R "^area\.($threaded)\$"; }
 tsan() { tsan_build && tsan_tests; }
-# A VM takes one core most of the time: what compiles goes on beside it, then tests, one by one until the last VM has ended.
-one_core_while_beside() { if kill -0 "$side" 2>/dev/null; then parallel=1; else parallel=$jobs; fi; }
+heavy() { note "heavy tests, release"; tests build -L heavy; }
+# A VM takes one core most of the time: what compiles goes on beside it, then tests, one by one until the last VM has ended. What has
+# most to compute comes last.
+beside_the_vms() {
+  local parallel=$jobs
+  ! kill -0 "$side" 2>/dev/null || parallel=1
+  "$@"
+}
 kernel_and_sanitizers() {
   local asan_built=1 tsan_built=1
-  kernel_build || { asan; tsan; return; }
+  kernel_build || { asan; tsan; heavy; return; }
   beside "the kernel side" scripts/kernel-check.sh build
   renice -n 10 -p $$ >/dev/null # a guest that waits for its core sees a stall
   asan_build && asan_built=0
   tsan_build && tsan_built=0
-  local parallel
-  one_core_while_beside
-  [ $asan_built -ne 0 ] || asan_tests
-  one_core_while_beside
-  [ $tsan_built -ne 0 ] || tsan_tests
+  [ $tsan_built -ne 0 ] || beside_the_vms tsan_tests
+  [ $asan_built -ne 0 ] || { beside_the_vms fuzzers; beside_the_vms asan_tests; }
+  beside_the_vms heavy
   note "the rest of the VMs"
   joined
 }
@@ -229,8 +234,6 @@ release_and_packages() {
   build ci build "${release[@]}" kmod_tests scx_tests && built=0
   joined
   [ $built -eq 0 ] || return
-  note "tests, release"
-  tests build -L heavy
   note "integration, beside the packages in a clean Debian root"
   beside "the packages" scripts/package-check.sh build
   integration build -LE long
@@ -251,7 +254,7 @@ package() {
   note "packages, in a clean Debian root"
   counted "the packages" scripts/package-check.sh build
 }
-fuzz() { build asan build-asan unit_tests fuzzers && { note "fuzzers"; tests build-asan -L fuzz; }; }
+fuzz() { asan_build && fuzzers; }
 
 case ${1:-check} in
   check)

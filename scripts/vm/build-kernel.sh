@@ -14,7 +14,8 @@ case $name in
 esac
 cache=${XAUTO_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/xauto}
 out=$cache/kernels/$name-amd64
-if [ -s "$out/release" ]; then
+is_there() { [ -s "$out/release" ] && cmp -s "$config" "$out/config"; }
+if is_there; then
   echo "$out"
   exit 0
 fi
@@ -26,7 +27,7 @@ for tool in gcc-12 flex bison bc pahole make xz; do command -v "$tool" >/dev/nul
 mkdir -p "$cache/kernels"
 exec 9>"$cache/kernels/.lock-$name-amd64"
 flock 9
-if [ -s "$out/release" ]; then
+if is_there; then
   echo "$out"
   exit 0
 fi
@@ -62,5 +63,6 @@ if [ "$name" = 6.12-kasan ]; then
   echo >"$work/done/needs"
 fi
 cp "$work/build/include/config/kernel.release" "$work/done/release"
+cp "$config" "$work/done/config"
 mv "$work/done" "$out"
 echo "$out"

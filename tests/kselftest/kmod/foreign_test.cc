@@ -8,6 +8,7 @@
 #include <random>
 
 #include <kselftest.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -35,12 +36,14 @@ void sleep_below_ms(int limit) {
   usleep(static_cast<useconds_t>(random_source() % static_cast<std::uint64_t>(limit * 1000)));
 }
 
-/// Killed and waited for at its end.
+/// Killed and waited for at its end; or when this test ends before that: whoever reads what it prints waits for the
+/// last one that may.
 class Child {
  public:
   template <class F>
   explicit Child(F run) : pid_(fork()) {
     if (pid_ == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGKILL);
       run();
       _exit(0);
     }
