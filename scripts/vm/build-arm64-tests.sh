@@ -34,7 +34,7 @@ flock -u 9
 mkdir -p "$out/include"
 # Result<T>'s header has no architecture; the rest of /usr/include has, and must not be seen.
 ln -sfn /usr/include/tl "$out/include/tl"
-command=("$compiler" -std=c++20 -O2 -static -Wall -Wextra -I"$root/include" -I"$root/lib" -I"$root" -isystem "$sysroot/usr/include/libnl3"
+command=("$compiler" -std=c++20 -O2 -static -Wall -Wextra -Wno-missing-field-initializers -I"$root/include" -I"$root/lib" -I"$root" -isystem "$sysroot/usr/include/libnl3"
   -isystem "$out/include" -isystem "$("$here/fetch-source.sh")/tools/testing/selftests")
 command -v ccache >/dev/null && command=(ccache "${command[@]}")
 
