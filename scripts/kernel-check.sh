@@ -20,7 +20,7 @@ count() {
   local log=$1 counts
   counts=$(awk '
     /^TAP version/ { if (planned > run) lost += planned - run; planned = run = 0 }
-    /^1\.\.[0-9]+/ { planned = substr($0, 4) + 0 }
+    /^1\.\.[0-9]+/ { planned = substr($0, 4) + 0; if ($0 ~ /^1\.\.0 # SKIP/) skip++ }
     /^ok [0-9]+/ { run++; if ($0 ~ /# SKIP/) skip++; else good++ }
     /^not ok [0-9]+/ { run++; bad++ }
     /^Bail out!/ { lost++; planned = run }
