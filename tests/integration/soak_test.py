@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many releases, isolated: none is lost that is not counted, and nothing grows. XAUTO_SOAK_RELEASES says how many,
 XAUTO_SOAK_KILLS how many processes die meanwhile."""
+import collections
 import json
 import os
 import pathlib
@@ -23,16 +24,17 @@ GROWTH_KB = 4 * 1024  # accounts of the last 65536 releases, and what malloc kee
 
 
 def measure(pid):
-    """(anonymous memory in kB, descriptors and threads, mappings of shared memory). A thread opens its own schedstat once, with
-    the first job that it does itself: that may be late."""
+    """(anonymous memory in kB, descriptors and threads, mappings of shared memory, the names of the former two). A thread
+    opens its own schedstat once, with the first job that it does itself: that may be late."""
     folder = pathlib.Path(f"/proc/{pid}")
     try:
         anonymous = next(int(line.split()[1]) for line in (folder / "status").read_text().splitlines()
                          if line.startswith("RssAnon"))
         shared = sum("memfd:" in line for line in (folder / "maps").read_text().splitlines())
         of = [os.readlink(folder / "fd" / fd) for fd in os.listdir(folder / "fd")]
-        once = {name for name in of if name.endswith("/schedstat")}
-        return anonymous, len(of) - len(once) + len(os.listdir(folder / "task")), shared
+        names = collections.Counter(of) - collections.Counter({name for name in of if name.endswith("/schedstat")})
+        names.update((task / "comm").read_text().strip() for task in (folder / "task").iterdir())
+        return anonymous, sum(names.values()), shared, names
     except (OSError, StopIteration):
         return None  # it has ended
 
@@ -173,10 +175,11 @@ class Soak(Case):
             before, after = ([sample[pid] for sample in part] for part in (seen[:half], seen[half:]))
             for what in (1, 2):
                 self.assertLessEqual(statistics.median(x[what] for x in after), max(x[what] for x in before),
-                                     (before, after))
+                                     (f"new in {pid}: {after[-1][3] - before[-1][3]}", [x[:3] for x in before + after]))
             if not SANITIZED:  # their allocators keep what was freed
                 running = after[:len(after) // 2]  # the report is written at the end
-                self.assertLess(max(x[0] for x in running) - max(x[0] for x in before), GROWTH_KB, (before, after))
+                self.assertLess(max(x[0] for x in running) - max(x[0] for x in before), GROWTH_KB,
+                                [x[:3] for x in before + after])
 
 
 del Case
