@@ -91,8 +91,9 @@ TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
   EXPECT_NE(board->xpu(0).words_of_sharing().find(" of uid "), std::string::npos);
   EXPECT_EQ(board->xpu(1).words_of_sharing(), "");  // it is ours
   EXPECT_EQ(board->xpu(2).words_of_sharing(), "");  // ours is emulated
-  EXPECT_EQ(board->xpu(3).words_of_sharing(),
-            "run " + run + " of uid " + std::to_string(geteuid()));
+  EXPECT_EQ(board->xpu(3).words_of_sharing(), " does not serve this app alone: run " + run +
+                                                  " of uid " + std::to_string(geteuid()) +
+                                                  " has it, too");
 }
 
 /// Who shares an XPU under the machine's coordinator was admitted; to a run with a coordinator of its own he is a stranger.
