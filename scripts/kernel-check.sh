@@ -92,7 +92,7 @@ kmod() {
   if [ "${2:-amd64}" = arm64 ]; then
     programs=$out/arm64-tests
     scripts/vm/build-arm64-tests.sh "$programs" || { failed=$((failed + 1)); return; }
-    items=("ROOT=$programs" "${items[@]}")
+    items=("ROOT=$programs" "${items[@]}") append=" XAUTO_RUNTIME=none"
     tests=$(selftests "$programs" ARCH=arm64 CC=aarch64-linux-gnu-gcc-12 USERLDFLAGS=-static)
   else
     tests=$(selftests "$programs")

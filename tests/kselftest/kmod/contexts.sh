@@ -3,7 +3,8 @@
 # In the guest: what a user is told of contexts that grow after `init`, and of contexts from before it. The whole runtime over the
 # emulators: modules, workers, coordinator, xauto.ko.
 # shellcheck disable=SC2317 # called through check
-cd /opt/xauto/bin 2>/dev/null || { echo "TAP version 13"; echo "1..0 # SKIP the runtime is not built for this guest"; exit 4; }
+[ "${XAUTO_RUNTIME:-}" != none ] || { echo "TAP version 13"; echo "1..0 # SKIP the runtime is not built for this guest"; exit 4; }
+cd /opt/xauto/bin || exit 1
 app=/opt/xauto/contexts.json
 status=0 number=0
 check() { # NAME CONDITION...

@@ -65,35 +65,27 @@ TEST(ForeignWatch, NamesAreShownSafely) {
 }
 
 TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
-  // Tests that run beside this one have cores, too, and of a core the first run that is seen is told. No other has
-  // XPUs of these names.
-  const std::string pid = std::to_string(getpid());
-  const std::string gpu = "gpu" + pid, dla = "dla" + pid, npu = "npu" + pid;
   Session session;
-  session.platform = Platform{"p", {{"cpu0", "cpu"}, {gpu, "gpu"}, {dla, "dla"}, {npu, "npu"}}};
-  session.presence = {Presence::kReal, Presence::kReal, Presence::kEmulated, Presence::kReal};
-  session.policy.placements = {{0}, {1}, {2}, {3}};
+  session.platform = Platform{"p", {{"cpu0", "cpu"}, {"gpu0", "gpu"}, {"dla0", "dla"}}};
+  session.presence = {Presence::kReal, Presence::kReal, Presence::kEmulated};
+  session.policy.placements = {{0}, {1}, {2}};
   session.own_sockets = "xauto/1-0/aa/";
-  const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 4});
+  const auto board = Board::local({.modules = 1, .nodes = 1, .xpus = 3});
   const std::string core = real_xpus_of(session)[0].hardware;
-  const std::string run = pid + "-77";
+  const std::string run = std::to_string(getpid()) + "-77";
   const auto hold = [](const std::string& name) {
     auto socket = hold_abstract(name);
     EXPECT_TRUE(socket) << socket.error().to_string();
     return std::move(*socket);
   };
-  const UniqueFd own = hold("xauto/1-0/aa/real:" + gpu),
-                 emulated = hold("xauto/" + run + "/bb/real:" + dla),
-                 theirs = hold("xauto/" + run + "/bb/real:" + npu),
-                 their_core = hold("xauto/" + run + "/bb/real:" + core);
+  const UniqueFd own = hold("xauto/1-0/aa/real:gpu0"),
+                 emulated = hold("xauto/" + run + "/bb/real:dla0"),
+                 theirs = hold("xauto/" + run + "/bb/real:" + core);
   ForeignWatch watch(session, *board, true);
   watch.look(2'000'000'000);
-  EXPECT_NE(board->xpu(0).words_of_sharing().find(" of uid "), std::string::npos);
+  EXPECT_NE(board->xpu(0).words_of_sharing().find("run " + run + " of uid "), std::string::npos);
   EXPECT_EQ(board->xpu(1).words_of_sharing(), "");  // it is ours
   EXPECT_EQ(board->xpu(2).words_of_sharing(), "");  // ours is emulated
-  EXPECT_EQ(board->xpu(3).words_of_sharing(), " does not serve this app alone: run " + run +
-                                                  " of uid " + std::to_string(geteuid()) +
-                                                  " has it, too");
 }
 
 /// Who shares an XPU under the machine's coordinator was admitted; to a run with a coordinator of its own he is a stranger.
