@@ -84,13 +84,6 @@ class Bench:
         self.page += textwrap.wrap(SHARE, 120, break_on_hyphens=False) + [""]
         self.text("runtime.txt", "\n".join(line for line in text.splitlines() if not line.startswith("R\t")))
 
-    def worst_case(self):
-        policies, executions = (24, 500) if self.quick else (504, 20_000)
-        text = self.run(self.bin / "bench/bench_worst_case", "--policies", policies, "--executions", executions)
-        self.section("Attacks on the certified worst case", "model", f"{policies} policies, {executions} executions each, chosen to break "
-                     "`worst_case_us`. One above it ends the benchmark with an error.")
-        self.page += ["```", text.strip(), "```", ""]
-
     def cpu_priority(self):
         runs = 2 if self.quick else 5
         answers = [json.loads(self.run(self.bin / "bench/bench_cpu_priority", "--json")) for _ in range(runs)]
@@ -106,7 +99,7 @@ class Bench:
         self.section("What `top --record` costs", "measured", f"{pairs} pair{'s' * (pairs > 1)} of emulated runs with and without it, {activations} activations each.")
         self.page += ["```", text.strip(), "```", ""]
 
-    ALL = ("runtime", "cpu_priority", "tracing", "worst_case")
+    ALL = ("runtime", "cpu_priority", "tracing")
 
     def write(self, names):
         began, failures = time.monotonic(), []

@@ -186,8 +186,8 @@ class Team {
     constexpr auto kStretches = Space::kStretches;
     const Space order = TabuSearch::serves(problem_) ? Space::kTabu : kOrdered;
     if (options_.priorities_only) return {kPriorities};
-    if (options_.certify && stretches()) return {kStretches, order, kStretches, kOrdered};
-    if (options_.certify) return {order, kOrdered};
+    if (options_.ordered_only && stretches()) return {kStretches, order, kStretches, kOrdered};
+    if (options_.ordered_only) return {order, kOrdered};
     // Of any size: with a quarter of the turns, Brandimarte's job shops ended 0.2 % longer.
     if (!some_preempt_) return {order, kPriorities, order, order, kOrdered, order};
     const bool mixing = some_preempt_ && some_pay_;
@@ -338,7 +338,7 @@ class Team {
           options_.stop};
       raise_bound(composite_bound(problem_, 1, until).bound);
     }
-    if (large() && some_preempt_ && !options_.certify) {
+    if (large() && some_preempt_ && !options_.ordered_only) {
       own = race(t, budget);
       if (own.ordered) own_ordered = std::exchange(own, by_finish(problem_, own));
     }
@@ -410,7 +410,7 @@ class Team {
   }
 
   [[nodiscard]] bool met() const {
-    if (options_.certify) return ordered_best_.load() <= bound_.load();
+    if (options_.ordered_only) return ordered_best_.load() <= bound_.load();
     return incumbent_.load() <= bound_.load();
   }
 
@@ -465,7 +465,7 @@ class Team {
     progress.elapsed_s = std::chrono::duration<double>(Clock::now() - began_).count();
     progress.incumbent = incumbent_.load();
     progress.bound = std::min(bound_.load(), progress.incumbent);
-    progress.certified = ordered_best_.load();
+    progress.ordered = ordered_best_.load();
     if (progress.incumbent > 0)
       progress.gap = static_cast<double>(progress.incumbent - progress.bound) /
                      static_cast<double>(progress.incumbent);

@@ -47,4 +47,9 @@ std::vector<std::int64_t> priorities_by_key(const std::vector<Time>& key) {
   return priority;
 }
 
+void Problem::let_all_nested_pay() {
+  for (std::size_t x = 0; x < levels.size(); ++x)
+    if (preemptive[x] != 0 && preempt[x] > 0 && levels[x] == 0) levels[x] = num_xnodes + 1;
+}
+
 }  // namespace xauto::solver

@@ -82,6 +82,10 @@ struct Problem {
     return wcet(xnode, xpu_type[static_cast<std::size_t>(xpu)]);
   }
 
+  /// From now on whoever starts while others of its XPU have started and not ended pays preempt_us, wherever it
+  /// preempts: as with levels, of which there are enough for all.
+  void let_all_nested_pay();
+
   /// Validates both (kInvalid) and that every XNode can run somewhere (kInfeasible, named).
   [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform);
 };

@@ -27,11 +27,15 @@ bool lower(Time& value, Time to) {
 
 Rules::Rules(const Problem& problem)
     : problem_(problem), n_(problem.num_xnodes), settled_(at(n_) * at(n_), 0) {
-  for (const auto& xpus : problem.type_xpus)
+  for (const auto& xpus : problem.type_xpus) {
+    all_pay_.push_back(std::ranges::all_of(
+        xpus, [&](int x) { return !problem.preemptive[at(x)] || problem.levels[at(x)] > 0; }));
     for (const int x : xpus)
-      uniform_ = uniform_ && problem.levels[at(x)] == 0 &&
+      uniform_ = uniform_ && (problem.levels[at(x)] == 0 || problem.levels[at(x)] > n_) &&
+                 problem.levels[at(x)] == problem.levels[at(xpus.front())] &&
                  problem.preemptive[at(x)] == problem.preemptive[at(xpus.front())] &&
                  problem.preempt[at(x)] == problem.preempt[at(xpus.front())];
+  }
   uniform_ =
       uniform_ && problem.groups.empty() &&
       std::find(problem.wcet_flat.begin(), problem.wcet_flat.end(), 0) == problem.wcet_flat.end() &&
@@ -144,14 +148,25 @@ void Rules::relate(Windows& w, int i, int j, int type, Relation relation) const 
       w.arcs.emplace_back(j, i);
       break;
     case kInFirst:
-      w.nested.emplace_back(i, j);
-      interrupt(w, i, problem_.wcet(j, type), cost);
+      nest(w, i, j, type, cost);
       break;
     case kInSecond:
-      w.nested.emplace_back(j, i);
-      interrupt(w, j, problem_.wcet(i, type), cost);
+      nest(w, j, i, type, cost);
       break;
   }
+}
+
+void Rules::nest(Windows& w, int outer, int inner, int type, Time cost) const {
+  w.nested.emplace_back(outer, inner);
+  if (all_pay_[at(type)] == 0) {
+    interrupt(w, outer, problem_.wcet(inner, type), cost);
+    return;
+  }
+  w.extra[at(outer)] += problem_.wcet(inner, type) + cost;
+  if (w.starter[at(inner)] != 0) return;
+  w.starter[at(inner)] = 1;
+  w.extra[at(inner)] += cost;
+  w.paid[at(inner)] += cost;
 }
 
 void Rules::interrupt(Windows& w, int outer, Time inner_work, Time cost) {

@@ -37,8 +37,9 @@ class Rules {
   [[nodiscard]] bool may_come_late(const Windows& w, int outer, int inner, int type) const;
   [[nodiscard]] Time latest_ready(const Windows& w, int i) const;
   void relate(Windows& w, int i, int j, int type, Relation relation) const;
-  /// All that is nested in `outer` runs within its span, and the first suspension of it costs at
-  /// least once.
+  /// All that is nested in `outer` runs within its span, and each pays; or, where who starts as another one ends does
+  /// not, the first suspension costs at least once.
+  void nest(Windows& w, int outer, int inner, int type, Time cost) const;
   static void interrupt(Windows& w, int outer, Time inner_work, Time cost);
   /// Of those nested in one XNode, whoever starts first has suspended it, hence pays. So does one
   /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
@@ -50,7 +51,8 @@ class Rules {
   /// whose relation to all that may share it. Only where uniform().
   [[nodiscard]] bool end_as_ready(Windows& w) const;
   /// Every WCET is positive, and the instances of each type cannot be told apart: by the user's
-  /// constraints, by what a suspension costs, or by levels. All pairs then say what happens, exactly.
+  /// constraints, by what a suspension costs, or by levels, of which there are enough for all. All
+  /// pairs then say what happens, exactly.
   [[nodiscard]] bool uniform() const { return uniform_; }
   [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const;
   /// Pairs on one instance: decides those with one relation left; false: a pair has none.
@@ -74,6 +76,7 @@ class Rules {
   bool charge_marked(Windows& w) const;
 
   bool uniform_ = true;
+  std::vector<char> all_pay_;      ///< [type] whoever is nested: its XPUs have levels
   mutable std::vector<Time> end_;  ///< end_as_ready(): by XNode, -1 where it says nothing
   mutable std::vector<char> pays_;
   mutable std::vector<char> settled_;  ///< settle_pairs(): [lesser * n + greater]; 0 between calls

@@ -10,11 +10,11 @@
 
 #include "solver/auto.h"
 #include "solver/bounds.h"
-#include "solver/certify.h"
 #include "solver/construct.h"
 #include "solver/heft.h"
 #include "solver/ilp.h"
 #include "solver/ilp_ranges.h"
+#include "solver/order.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
@@ -128,7 +128,7 @@ Result<AutoResult> solve_by_ilp(const Problem& problem, const SolveOptions& opti
   result.bound = std::max(result.bound, answer.bound);
   std::string words = words_of(answer);
   if (answer.makespan < result.best.makespan) result.best = to_solution(problem, *answer.decision);
-  const Solution& asked = options.certify ? result.ordered : result.best;
+  const Solution& asked = options.ordered_only ? result.ordered : result.best;
   if (answer.finished && result.bound < asked.makespan && !Until{.stop = options.stop}.over()) {
     part.time_limit_s = options.max_evaluations == 0 ? left_s() : options.time_limit_s;
     const AutoResult more =
@@ -168,6 +168,7 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
   const auto began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(Problem problem, Problem::create(app, platform));
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
+  if (options.all_nested_pay) problem.let_all_nested_pay();
   const bool searches = method_searches(options.method);
   if (!searches && (!problem.goal.plain() || !problem.groups.empty()))
     return fail(ErrorCode::kInvalid, "chains and groups need method auto or search",
@@ -179,7 +180,6 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
                  options.stop};
   };
   Decision decision;
-  bool ordered = false;
   Time bound = 0;
   if (options.method == "heft") {
     decision = heft(problem, at_most(1));
@@ -195,31 +195,29 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
     } else {
       XAUTO_ASSIGN(result, solve_by_ilp(problem, options, first, began));
     }
-    const Solution& chosen = options.certify ? result.ordered : result.best;
-    decision = to_decision(chosen);
-    ordered = chosen.ordered;
-    if (ordered) decision.order = order_pairs(problem, chosen, a_moment(problem, options));
+    const auto decided = [&](const Solution& solution) {
+      Decision d = to_decision(solution);
+      if (solution.ordered)
+        d.order = order_pairs(problem, solution, a_moment(problem, options));
+      else if (options.all_nested_pay || !d.order.empty())
+        d = order_undisturbed(problem, d);
+      return d;
+    };
+    const Solution& chosen = options.ordered_only ? result.ordered : result.best;
+    decision = decided(chosen);
     bound = result.bound;
     if (options.report != nullptr) {
       options.report->evaluations = result.evaluations;
-      options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
+      if (result.ordered.makespan < kNever)
+        options.report->ordered =
+            make_policy(app, platform, problem, decided(result.ordered), options.method);
     }
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");
   }
-  // The same latency, but a worst case close to it. The baselines stay as they are.
-  const bool baseline = options.method == "heft" || options.method == "local";
-  if (!ordered && problem.goal.plain() && !baseline)
-    decision = settle_priorities(
-        problem, decision.order.empty() ? decision : order_undisturbed(problem, decision),
-        a_moment(problem, options));
   PriorityPlan policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
-  // Where every XPU keeps an order, the latency is the longest path: certify.h.
-  policy.worst_case_us =
-      ordered ? policy.latency_us
-              : worst_case(problem, decision, kMostChainSteps, a_moment(problem, options));
   policy.optimal = policy.lower_bound_us == policy.latency_us;
   policy.solve_us = std::chrono::duration_cast<std::chrono::microseconds>(
                         std::chrono::steady_clock::now() - began)

@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,9 +16,8 @@ namespace xauto::solver {
 struct Progress {
   double elapsed_s = 0;
   Time incumbent = 0, bound = 0;
-  Time certified =
-      0;           ///< the least worst case so far, of schedules that keep an order on every XPU
-  double gap = 0;  ///< (incumbent - bound) / incumbent
+  Time ordered = 0;  ///< the least so far of schedules that keep an order on every XPU
+  double gap = 0;    ///< (incumbent - bound) / incumbent
   double evaluations_per_s = 0;
 };
 
@@ -27,9 +27,13 @@ struct SolveOptions {
   int threads = 1;
   std::uint64_t seed = 1;
   std::int64_t max_evaluations =
-      0;                         ///< 0: no limit; with a limit the answer does not depend on speed
-  bool certify = false;          ///< minimise the certified worst case instead of the latency
+      0;  ///< 0: no limit; with a limit the answer does not depend on speed
+  /// Of what is ordered on every XPU: no execution of it takes longer than that at WCET (order.h).
+  bool ordered_only = false;
   bool priorities_only = false;  ///< no run-time order
+  /// Problem::let_all_nested_pay: what certificates of keys count. The bound is then of those, and may be above the
+  /// latency of a policy of priorities that nothing certifies.
+  bool all_nested_pay = false;
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: return the best so far
   /// Called from the solving thread: at once with the first answer, then at most 10 Hz.
   std::function<void(const Progress&)> on_progress;
@@ -40,9 +44,9 @@ struct SolveOptions {
 /// What a policy file has no place for.
 struct SolveReport {
   std::int64_t evaluations = 0;
-  /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
-  /// policy is not ordered on every XPU, this minus its latency is the cost of certifying.
-  Time certified_us = 0;
+  /// Of what is ordered on every XPU the shortest that was found, whose worst case is its latency. Where the plan is
+  /// not, the difference is what that costs.
+  std::optional<PriorityPlan> ordered;
   std::string proof;  ///< method ilp: who has proven what, in words
 };
 

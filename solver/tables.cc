@@ -10,11 +10,11 @@
 #include <tuple>
 
 #include "base/index.h"
-#include "solver/certify.h"
 #include "solver/keys/key_tables.h"
 #include "solver/keys/one_release.h"
 #include "solver/keys/sequence.h"
 #include "solver/least_loss.h"
+#include "solver/order.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
 #include "solver/solve.h"
@@ -144,7 +144,7 @@ class TablesSearch {
                                    std::optional<Time> enough) const {
     std::atomic<bool> stop{false};
     SolveOptions solving;
-    solving.certify = true;
+    solving.ordered_only = true;
     solving.threads = options_.threads;
     solving.seed = options_.seed + s;
     solving.stop = enough ? &stop : options_.stop;
@@ -152,7 +152,7 @@ class TablesSearch {
     solving.time_limit_s = seconds;
     if (enough)
       solving.on_progress = [&](const Progress& progress) {
-        const bool decided = progress.certified <= *enough || progress.bound > *enough;
+        const bool decided = progress.ordered <= *enough || progress.bound > *enough;
         const bool told = options_.stop != nullptr && options_.stop->load();
         if (decided || told) stop.store(true);
       };
@@ -169,7 +169,7 @@ class TablesSearch {
       const auto policy = solve_under(
           s, loss,
           std::max(kLeastSearchS, std::min(seconds / kLossTries, until_s - run_.elapsed())), limit);
-      return policy && policy->worst_case_us.value_or(kNever) <= limit;
+      return policy && policy->latency_us <= limit;
     };
     return least_loss(app_, platform_under(platform_, scenarios_[s]), suffices,
                       run_.until_after(seconds))

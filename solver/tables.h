@@ -4,7 +4,7 @@
 // The regret of a policy under a scenario is its certified worst case there over the scenario's
 // proven lower bound. Every table is ordered on each XPU, so its worst case under a scenario is the
 // longest path at that scenario's WCETs, and holds for all that lies component-wise below it
-// (certify.h). Asked is the least largest regret with K tables, or the fewest tables within a regret.
+// (order.h). Asked is the least largest regret with K tables, or the fewest tables within a regret.
 //
 //  1. Each scenario is solved alone: its lower bound, and a candidate.
 //  2. Choice: of the candidates the K of least largest regret. For a regret r that is a set cover

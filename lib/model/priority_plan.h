@@ -38,8 +38,6 @@ struct PriorityPlan {
   std::int64_t lower_bound_us =
       0;                 ///< proven: no PriorityPlan for this app and platform is shorter
   bool optimal = false;  ///< proven: latency_us == lower_bound_us
-  /// Of a release that meets no other, its sources in phase, every job within its WCET; nullopt: not certified.
-  std::optional<std::int64_t> worst_case_us;
   std::int64_t solve_us = 0;
   bool operator==(const PriorityPlan&) const = default;
 };

@@ -13,7 +13,8 @@
 namespace xauto::solver::keys {
 
 struct ReleasePlan {
-  Policy policy;
+  /// The shortest plan; then the shortest that is ordered on every XPU, where that is another one.
+  std::vector<Policy> policies;
   /// Of the latest end of any chain, proven: no policy of keys has it earlier. 0: not known.
   Tick bound = 0;
   std::string proof;  ///< SolveReport::proof

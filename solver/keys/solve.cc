@@ -208,7 +208,7 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
   if (app.one_at_a_time && options.on_progress)
     asked.on_progress = [&options](const solver::Progress& at) {
       options.on_progress({.elapsed_s = at.elapsed_s,
-                           .release_us = at.certified > 0 ? at.certified : at.incumbent,
+                           .release_us = at.incumbent,
                            .release_bound_us = at.bound,
                            .evaluations_per_s = at.evaluations_per_s});
     };
@@ -222,8 +222,9 @@ Result<Seeds> seeds_of(const AppSpec& app, const Platform& platform, const Probl
   const Result<ReleasePlan> plan = plan_of_one_release(app, platform, p, std::move(asked));
   if (!plan && options.method != "auto") return tl::unexpected<Error>(plan.error());
   if (plan) {
-    add(plan->policy);
-    if (again) add(again->policy);
+    for (const Policy& policy : plan->policies) add(policy);
+    if (again)
+      for (const Policy& policy : again->policies) add(policy);
     found.proof = plan->proof;
     const bool alike = std::all_of(p.chains.begin(), p.chains.end(),
                                    [&](const Chain& c) { return c.by == p.chains.front().by; });
@@ -365,14 +366,15 @@ class Solving {
     least_of_all_ = begins_.bound == 0 ? 0
                                        : static_cast<double>(begins_.bound) /
                                              static_cast<double>(p_.chains.front().by);
-    for (const Seed& seed : begins_.seeds) search_around(seed);
+    for (const Seed& seed : begins_.seeds)
+      if (!shortest_of_all()) search_around(seed);
     if (options_.method != "auto" && !planned_)
       return std::move(answer_);  // nobody asked for another plan
     // Of a release that is alone nothing is left to look for where its plan is the shortest. What the paper's model
     // leaves open, since it knows no keys, the search of keys has the rest of the time for.
-    const bool shortest = planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
-                          (planned_->best().figures.largest <= least_of_all_ * kSameBound ||
-                           options_.method == "search");
+    const bool shortest =
+        shortest_of_all() || (planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
+                              options_.method == "search");
     if (planned_ && !shortest && times_.limited()) prove(part_of(times_.search, kForProof));
     const Incumbents found = shortest ? search_around_shortest() : search_all();
     answer_.evaluations = round_.evaluations;
@@ -400,6 +402,12 @@ class Solving {
   [[nodiscard]] const Problem& of() const { return seed_ == nullptr ? p_ : seed_->problem; }
   /// A tick, as figures have it, in these.
   [[nodiscard]] double unit() const { return p_.deadlines ? 1 : static_cast<double>(p_.scale); }
+
+  /// A release is alone, and no policy ends it earlier than what has been planned.
+  [[nodiscard]] bool shortest_of_all() const {
+    return planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
+           planned_->best().figures.largest <= least_of_all_ * kSameBound;
+  }
 
   /// For keys that keep its placement and order.
   void search_around(const Seed& seed) {

@@ -74,9 +74,6 @@ inline Status validate_plan(const PriorityPlan& policy, const AppSpec& app,
   if (!is_time(policy.lower_bound_us))
     return fail(ErrorCode::kInvalid, std::to_string(policy.lower_bound_us) + " is no bound",
                 "/lower_bound_us");
-  if (policy.worst_case_us && !is_time(*policy.worst_case_us))
-    return fail(ErrorCode::kInvalid, std::to_string(*policy.worst_case_us) + " is no latency",
-                "/worst_case_us");
   if (policy.solve_us < 0)
     return fail(ErrorCode::kInvalid, std::to_string(policy.solve_us) + " is no time", "/solve_us");
   return {};

@@ -23,8 +23,8 @@ using verification::World;
 
 constexpr int kExactXNodes = 10;  ///< up to here executions are enumerated
 constexpr std::int64_t kTypeProofNodes = 200'000;
-constexpr std::int64_t kWork = 40'000'000;  ///< XNode visits that a kind of attack may cost
-constexpr int kMostByTypes = 2000;          ///< XNodes; a node of that proof is quadratic in them
+constexpr std::int64_t kWork = 4'000'000;  ///< XNode visits that the schedules tried may cost
+constexpr int kMostByTypes = 2000;         ///< XNodes; a node of that proof is quadratic in them
 
 std::string us(Us value) {
   return std::to_string(value) + " us";
@@ -56,7 +56,6 @@ class Check {
     schedule();
     lower_bound();
     optimal();
-    worst_case();
     deadlines();
     rates();
     return std::move(v_);
@@ -274,7 +273,7 @@ class Check {
       return std::min(least, verification::execute(world_, candidate, takes).latency);
     };
     Us best = length(), current = best;
-    const auto rounds = std::min(options_.schedules, kWork / 10 / size());
+    const auto rounds = std::min(options_.schedules, kWork / size());
     for (std::int64_t round = 0; round < rounds && n > 1; ++round) {
       const auto old_xpu = xpu;
       const auto old_sequence = sequence;
@@ -332,142 +331,6 @@ class Check {
       shown("optimal: re-proven");
     else
       taken("optimal: the latency equals the bound claimed, which was not re-proven here");
-  }
-
-  void worst_case() {
-    if (!policy_.worst_case_us) return;
-    const Us claimed = *policy_.worst_case_us;
-    v_.worst_found_us = v_.latency_us;
-    if (claimed < v_.latency_us)
-      lie("worst_case_us of " + us(claimed) + " is below the latency of " + us(v_.latency_us));
-    attack();
-    if (claimed < v_.worst_found_us && v_.worst_found_us > v_.latency_us)
-      lie("worst_case_us is said to be " + us(claimed) + ", an execution within the WCETs takes " +
-          us(v_.worst_found_us));
-    if (claimed < v_.worst_found_us) return;
-    const std::optional<Us> certified = certificate();
-    if (certified && *certified <= claimed)
-      shown("worst_case_us = " + us(claimed) + ": not longer than " + us(*certified) +
-            ", the worst case of a release that meets no other");
-    else
-      taken("worst_case_us = " + us(claimed) + ": not re-derived; the longest of " +
-            std::to_string(v_.executions) + " executions took " + us(v_.worst_found_us));
-  }
-
-  void attack() {
-    std::vector<Us> takes = wcet_;
-    const auto rounds = std::min(options_.executions, kWork / size());
-    std::vector<Us> worst = wcet_;
-    for (std::int64_t round = 0; round < rounds; ++round) {
-      const std::uint64_t kind = round < world_.n ? 0 : 1 + below(5);
-      for (std::size_t i = 0; i < takes.size(); ++i) {
-        const auto all = static_cast<std::uint64_t>(wcet_[i]);
-        switch (kind) {
-          case 0:
-            takes[i] = at(static_cast<int>(round)) == i ? 0 : wcet_[i];
-            break;  // one vanishes
-          case 1:
-            takes[i] = static_cast<Us>(below(all + 1));
-            break;
-          case 2:
-            takes[i] = below(2) == 0 ? 0 : wcet_[i];
-            break;  // corners
-          case 3:
-            takes[i] = below(8) == 0 ? 0 : wcet_[i];
-            break;  // few vanish
-          case 4:
-            takes[i] = static_cast<Us>(all - below(all / 4 + 1));
-            break;  // all a little early
-          default:  // around the worst so far
-            takes[i] = below(6) == 0 ? static_cast<Us>(below(all + 1)) : worst[i];
-        }
-      }
-      ++v_.executions;
-      const Us latency = verification::execute(world_, candidate_, takes).latency;
-      if (latency >= v_.worst_found_us) {
-        v_.worst_found_us = latency;
-        worst = takes;
-      }
-    }
-  }
-
-  /// A worst case that needs no search, where the policy has one of two shapes on each XPU.
-  ///
-  /// Let C' be the WCET plus, for an XNode that might start by preempting, the cost of it; an XNode
-  /// pays it at most once. Let F be the finishes of an execution with C' where preemption is free.
-  /// If on each XPU (a) all XNodes are ordered by edges and run-time order, or (b) the XPU is
-  /// preemptive and its priorities follow F, then in every execution each XNode i finishes by F(i):
-  /// take a first one in violation, by F. What may run before it on its XPU has earlier F and
-  /// predecessors with earlier F, hence is released no later than in F's schedule and needs no more
-  /// time; that schedule meets the deadlines F, and priorities by deadline meet what any schedule
-  /// meets (Horn 1974). An XPU with levels is as preemptive as that only if its levels suffice
-  /// whatever is open: no sequence of XNodes of rising priority, each open to the next, is longer.
-  std::optional<Us> certificate() {
-    const std::size_t n = at(world_.n);
-    if (n > 2000) return std::nullopt;
-    const std::vector<std::vector<bool>> reaches = closure();
-    std::vector<Us> inflated = wcet_;
-    std::vector<char> sequential(at(world_.m), 1);
-    for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t j = 0; j < n; ++j) {
-        if (i == j || candidate_.xpu[i] != candidate_.xpu[j] || reaches[i][j] || reaches[j][i])
-          continue;
-        sequential[at(candidate_.xpu[i])] = 0;
-        if (candidate_.priority[i] > candidate_.priority[j])
-          inflated[i] = wcet_[i] + world_.preempt_us[at(candidate_.xpu[i])];
-      }
-    for (std::size_t x = 0; x < sequential.size(); ++x)
-      if (!sequential[x] && (!world_.preemptive[x] || !levels_suffice(x, reaches)))
-        return std::nullopt;
-    const Execution e = verification::execute(world_.relaxed(), candidate_, inflated);
-    for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t j = 0; j < n; ++j)
-        if (i != j && candidate_.xpu[i] == candidate_.xpu[j] && !reaches[i][j] && !reaches[j][i] &&
-            candidate_.priority[i] > candidate_.priority[j] && e.finish[i] > e.finish[j])
-          return std::nullopt;
-    return e.latency;
-  }
-
-  [[nodiscard]] bool levels_suffice(std::size_t x,
-                                    const std::vector<std::vector<bool>>& reaches) const {
-    if (world_.levels[x] == 0) return true;
-    std::vector<std::size_t> here;
-    for (std::size_t i = 0; i < at(world_.n); ++i)
-      if (at(candidate_.xpu[i]) == x) here.push_back(i);
-    std::sort(here.begin(), here.end(), [&](std::size_t i, std::size_t j) {
-      return candidate_.priority[i] < candidate_.priority[j];
-    });
-    std::vector<int> length(here.size(), 1);
-    for (std::size_t a = 0; a < here.size(); ++a) {
-      for (std::size_t b = 0; b < a; ++b)
-        if (!reaches[here[a]][here[b]] && !reaches[here[b]][here[a]])
-          length[a] = std::max(length[a], length[b] + 1);
-      if (length[a] > world_.levels[x]) return false;
-    }
-    return true;
-  }
-
-  /// [i][j]: j cannot start before i has finished.
-  [[nodiscard]] std::vector<std::vector<bool>> closure() const {
-    const std::size_t n = at(world_.n);
-    std::vector<std::vector<int>> after = world_.after;
-    std::vector<int> missing(n, 0), topological;
-    for (const auto& [u, v] : policy_.order) after[at(u)].push_back(v);
-    for (const auto& list : after)
-      for (const int v : list) ++missing[at(v)];
-    for (std::size_t i = 0; i < n; ++i)
-      if (missing[i] == 0) topological.push_back(static_cast<int>(i));
-    for (std::size_t k = 0; k < topological.size(); ++k)
-      for (const int v : after[at(topological[k])])
-        if (--missing[at(v)] == 0) topological.push_back(v);
-    std::vector<std::vector<bool>> reaches(n, std::vector<bool>(n, false));
-    for (auto it = topological.rbegin(); it != topological.rend(); ++it)
-      for (const int v : after[at(*it)]) {
-        reaches[at(*it)][at(v)] = true;
-        for (std::size_t j = 0; j < n; ++j)
-          if (reaches[at(v)][j]) reaches[at(*it)][j] = true;
-      }
-    return reaches;
   }
 
   const AppSpec& app_;

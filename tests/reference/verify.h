@@ -19,7 +19,6 @@
 namespace xauto::solver {
 
 struct VerifyOptions {
-  std::int64_t executions = 20'000;      ///< random executions against worst_case_us
   std::int64_t proof_nodes = 2'000'000;  ///< budget of the proof that lower_bound_us holds
   std::int64_t schedules = 100'000;      ///< schedules tried against lower_bound_us
   std::uint64_t seed = 1;
@@ -36,9 +35,7 @@ struct Verification {
   std::int64_t latency_us = 0;      ///< what the rule of problem.h gives
   std::int64_t own_bound_us = 0;    ///< proven here, <= any schedule
   std::int64_t best_found_us = 0;   ///< the shortest schedule that the check constructed
-  std::int64_t worst_found_us = 0;  ///< the longest of the executions tried
-  std::int64_t executions = 0;
-  bool bound_proven = false;  ///< lower_bound_us re-proven
+  bool bound_proven = false;        ///< lower_bound_us re-proven
   /// A policy that takes less than what is claimed as a bound on all policies: in words, with both
   /// numbers. Whoever claimed it has proven something false. Empty: none was met.
   std::string counterexample;

@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include "solver/certify.h"
+#include "solver/order.h"
 #include "solver/ordered.h"
 #include "solver/search.h"
 #include "solver/simulate.h"

@@ -201,10 +201,38 @@ TEST(KeysObjective, OneDeadlineOfAllMakesNoOtherPlan) {
         plan_of_one_release(app, platform, *Problem::create(app, platform, {}), options);
     ASSERT_TRUE(plan) << plan.error().to_string();
     std::int64_t end = 0;
-    for (const Placement& placed : plan->policy.placements) end = std::max(end, placed.key_us[0]);
+    for (const Placement& placed : plan->policies.front().placements)
+      end = std::max(end, placed.key_us[0]);
     ends.push_back(end);
   }
   EXPECT_EQ(ends[0], ends[1]);
+}
+
+/// Suspending is dear here, and pays all the same: the keys of a plan are a certificate as they are, by code of its own,
+/// and every chain ends when the plan says.
+TEST(KeysObjective, APlanThatSuspendsIsCertifiedAsItIs) {
+  int held = 0;
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    GenerateOptions synthetic;
+    synthetic.nodes = 18;
+    synthetic.seed = seed;
+    const AppSpec app = *parse_app(to_json(*generate(synthetic)), "app.json");
+    Platform platform = *Platform::builtin("small");
+    for (Xpu& xpu : platform.xpus) xpu.preempt_us = 300;
+    SolveOptions options;
+    options.max_evaluations = 20'000;
+    options.time_limit_s = 1e9;
+    auto plan = plan_of_one_release(app, platform, *Problem::create(app, platform, {}), options);
+    ASSERT_TRUE(plan) << plan.error().to_string();
+    for (Policy& policy : plan->policies) {
+      for (const Placement& placed : policy.placements) held += placed.hold_us.empty() ? 0 : 1;
+      for (const ChainSpec& chain : app.chains)
+        policy.chains.push_back({chain.name, policy.placements[at(chain.to)].key_us.front()});
+      const auto checked = check(app, platform, policy);
+      EXPECT_TRUE(checked) << seed << ": " << checked.error().to_string();
+    }
+  }
+  EXPECT_GT(held, 40);
 }
 
 /// ... of worst case / deadline, of the Driving Case at its rates; `gpu`: its LiDAR's net is to be there.

@@ -6,9 +6,9 @@
 
 #include <gtest/gtest.h>
 
-#include "solver/certify.h"
 #include "solver/generate.h"
 #include "solver/heft.h"
+#include "solver/order.h"
 #include "solver/ordered.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"

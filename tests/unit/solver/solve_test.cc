@@ -141,8 +141,6 @@ TEST(Solve, EveryMethodAnswersWhenItIsStoppedBeforeItBegins) {
       ASSERT_TRUE(policy.has_value()) << method;
       EXPECT_EQ(policy->placements.size(), app.xnodes.size());
       EXPECT_LE(policy->lower_bound_us, policy->latency_us) << method;
-      ASSERT_TRUE(policy->worst_case_us.has_value());
-      EXPECT_GE(*policy->worst_case_us, policy->latency_us) << method;
       if (std::string(method) != "local") {
         EXPECT_LE(policy->latency_us, heft_latency(app, platform)) << method;
       }
@@ -180,7 +178,7 @@ TEST(Solve, WhatAPolicyFileCannotHoldIsRefusedBeforeItIsSolved) {
     options.method = method;
     const auto policy = solve(app, platform, options);
     ASSERT_TRUE(policy.has_value()) << policy.error().to_string();
-    EXPECT_TRUE(verify(app, platform, *policy, {.executions = 10, .schedules = 10}).truthful());
+    EXPECT_TRUE(verify(app, platform, *policy, {.schedules = 10}).truthful());
   }
   app.xnodes[1].wcet_us["cpu"] += 2;
   const auto refused = solve(app, platform, options);
@@ -227,7 +225,6 @@ TEST(Solve, TheLargestAppsKeepTheTimeLimitAndAStop) {
       EXPECT_LT(cpu_s() - began, kSlack * (1.3 * options.time_limit_s + 1)) << what;
       ASSERT_TRUE(policy.has_value()) << what;
       EXPECT_LE(policy->lower_bound_us, policy->latency_us);
-      EXPECT_GE(policy->worst_case_us, policy->latency_us);
 
       const std::atomic<bool> stop{true};
       options.stop = &stop;

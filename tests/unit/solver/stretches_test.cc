@@ -8,7 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "base/index.h"
-#include "solver/certify.h"
+#include "solver/order.h"
 #include "solver/simulate.h"
 
 #include "problem_random.h"

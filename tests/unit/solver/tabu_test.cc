@@ -5,8 +5,8 @@
 #include <gtest/gtest.h>
 
 #include "base/index.h"
-#include "solver/certify.h"
 #include "solver/disjunctive.h"
+#include "solver/order.h"
 #include "solver/ordered.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"
