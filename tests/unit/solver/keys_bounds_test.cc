@@ -9,6 +9,8 @@
 #include <gtest/gtest.h>
 #include <lpsolve/lp_lib.h>
 
+#include "model/json.h"
+#include "solver/generate.h"
 #include "solver/keys/chains.h"
 #include "solver/keys/check.h"
 #include "solver/keys/lower_bounds.h"
@@ -165,6 +167,38 @@ TEST(KeysBounds, NoneIsAboveWhatExhaustionFinds) {
   // Not a claim; the search would be broken where it seldom is as good as scalar keys.
   EXPECT_GT(sums, with_policy * 9 / 10);
   EXPECT_GT(sums_reached, sums * 8 / 10);
+}
+
+/// The bound of a release, proven where all that are nested pay, against keys that are searched without plan and order:
+/// by the check's own derivation none is certified for less.
+TEST(KeysBounds, NoCertificateOfKeysAloneIsBelowThatOfOneRelease) {
+  int reached = 0, optimal = 0;
+  constexpr int kCases = 40;
+  constexpr std::int64_t kCosts[] = {50, 300, 1000, 3000};
+  for (int k = 0; k < kCases; ++k) {
+    GenerateOptions synthetic;
+    synthetic.nodes = 5 + k % 6;
+    synthetic.seed = static_cast<std::uint64_t>(k + 1);
+    const AppSpec app = *parse_app(to_json(*generate(synthetic)), "app.json");
+    Platform platform = *Platform::builtin("small");
+    std::erase_if(platform.xpus, [](const Xpu& x) { return x.type == "cpu" && x.id != "cpu0"; });
+    for (Xpu& xpu : platform.xpus) xpu.preempt_us = kCosts[k / 6 % 4];
+    Options options = brief(1500);
+    options.aim = Aim::kLargest;
+    const auto planned = solve(app, platform, options);
+    options.order = false;
+    options.max_evaluations = 6000;
+    const auto alone = solve(app, platform, options);
+    ASSERT_TRUE(planned && alone);
+    const auto checked = check(app, platform, alone->policy);
+    ASSERT_TRUE(checked) << checked.error().to_string();
+    const ChainClaim& claim = planned->policy.chains.front();
+    ASSERT_GE(checked->chains.front().derived_us, claim.lower_bound_us) << k;
+    reached += checked->chains.front().derived_us == claim.lower_bound_us ? 1 : 0;
+    optimal += claim.optimal ? 1 : 0;
+  }
+  EXPECT_EQ(optimal, kCases);
+  EXPECT_GE(reached, kCases - 4);
 }
 
 /// One XPU of each type, so that all XNodes of a type meet.
