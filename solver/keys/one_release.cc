@@ -164,7 +164,7 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
     add_deadlines(app, p, whole.wishes);
   options.objectives = std::move(whole.wishes);
   options.all_nested_pay = keeps_order;
-  // Of large apps any plan is no shorter than what has order, in the time that there is (docs/results/solver.txt).
+  // Of large apps any plan is seldom shorter than what has order, in the time that there is (docs/results/solver.txt).
   options.ordered_only = keeps_order && whole.app.xnodes.size() > at(kLarge);
   SolveReport report;
   options.report = &report;
