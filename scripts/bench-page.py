@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the benchmarks one after the other and writes a page of their results. Called by scripts/bench.sh.
 
-Every section says what kind of number it holds: `model` (computed) or `measured` (this machine). Of several runs the median is shown, and how far they lie apart."""
+All is measured, on this machine. Of several runs the median is shown, and how far they lie apart."""
 import argparse
 import json
 import os
@@ -15,8 +15,6 @@ import time
 
 from machine import ROOT, machine
 
-KINDS = {"model": "Model figures: computed, nothing ran.",
-         "measured": "Measured on this machine."}
 # Rows that are not XAuto's: what the kernel needs for the same at least, and other people's libraries.
 OTHERS = ("futex", "bare futex", "own-", "call", "tbb", "cyclone", "iceoryx", "starpu")
 SHARE = "The share of a CPU is that of three coordinators, their start-up left out."
@@ -45,8 +43,8 @@ class Bench:
                          f"{result.stderr.strip()[-300:]}")
         return result.stdout
 
-    def section(self, title, kind, what):
-        self.page += [f"## {title}", "", *textwrap.wrap(f"*{KINDS[kind]}* {what}", 120, break_long_words=False, break_on_hyphens=False), ""]
+    def section(self, title, what):
+        self.page += [f"## {title}", "", *textwrap.wrap(f"*Measured on this machine.* {what}", 120, break_long_words=False, break_on_hyphens=False), ""]
 
     def table(self, head, rows):
         self.page += ["| " + " | ".join(head) + " |", "| --- |" + " --: |" * (len(head) - 1)]
@@ -67,7 +65,7 @@ class Bench:
             text = self.run(self.bin / "bench/bench_runtime", "--fifo", "--rounds", rounds, "--duration", f"{seconds}s", "--json", file)
             for row in json.loads(file.read_text())["rows"]:
                 rows.setdefault((row["section"], row["case"], row["program"]), []).append((row["p50"], row["p99"]))
-        self.section("The runtime beside its floors and peers", "measured", f"{runs} runs of {rounds} samples a row; microseconds unless the row says %, "
+        self.section("The runtime beside its floors and peers", f"{runs} runs of {rounds} samples a row; microseconds unless the row says %, "
                      "medians over the runs, in brackets the least and the greatest p50.")
         table = {}
         for (_, case, program), values in rows.items():
@@ -87,7 +85,7 @@ class Bench:
     def cpu_priority(self):
         runs = 2 if self.quick else 5
         answers = [json.loads(self.run(self.bin / "bench/bench_cpu_priority", "--json")) for _ in range(runs)]
-        self.section("Changing the priority of the next job", "measured", f"{runs} runs, medians; what a worker pays before each job. The store went to "
+        self.section("Changing the priority of the next job", f"{runs} runs, medians; what a worker pays before each job. The store went to "
                      f"{'a mapped BPF map' if answers[0]['mapped'] else 'ordinary memory (no BPF map without root)'}.")
         middle = lambda key: statistics.median(a[key] for a in answers)
         self.table(["way", "ns"], [["store into the map that sched_ext reads", f"{middle('store_ns'):.1f}"],
@@ -96,7 +94,7 @@ class Bench:
     def tracing(self):
         pairs, activations = (1, 60) if self.quick else (5, 100)
         text = self.run("bench/tracing/overhead.sh", self.bin, pairs, activations)
-        self.section("What `top --record` costs", "measured", f"{pairs} pair{'s' * (pairs > 1)} of emulated runs with and without it, {activations} activations each.")
+        self.section("What `top --record` costs", f"{pairs} pair{'s' * (pairs > 1)} of emulated runs with and without it, {activations} activations each.")
         self.page += ["```", text.strip(), "```", ""]
 
     ALL = ("runtime", "cpu_priority", "tracing")

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <numeric>
 
 #include "base/index.h"
 #include "solver/simulate.h"
@@ -76,19 +77,34 @@ std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solut
   return pairs;
 }
 
+std::vector<char> where_some_suspend(int num_xpus, const std::vector<int>& xpu,
+                                     const std::vector<Time>& start,
+                                     const std::vector<Time>& finish) {
+  std::vector<std::size_t> all(xpu.size());
+  std::iota(all.begin(), all.end(), 0U);
+  std::ranges::sort(all, {}, [&](std::size_t i) { return start[i]; });
+  std::vector<Time> end(at(num_xpus), 0);
+  std::vector<char> found(at(num_xpus), 0);
+  for (const std::size_t i : all) {
+    const std::size_t x = at(xpu[i]);
+    if (start[i] < end[x]) found[x] = 1;
+    end[x] = std::max(end[x], finish[i]);
+  }
+  return found;
+}
+
 Decision order_undisturbed(const Problem& problem, const Decision& decision) {
   const Simulation simulation = simulate(problem, decision);
+  const std::vector<char> disturbed =
+      where_some_suspend(problem.num_xpus, decision.xpu, simulation.start, simulation.finish);
   std::vector<std::vector<int>> on_xpu(at(problem.num_xpus));
   for (int i = 0; i < problem.num_xnodes; ++i) on_xpu[at(decision.xpu[at(i)])].push_back(i);
   Decision ordered = decision;
   for (std::size_t x = 0; x < on_xpu.size(); ++x) {
+    if (disturbed[x] != 0) continue;
     std::vector<int>& list = on_xpu[x];
     std::sort(list.begin(), list.end(),
               [&](int a, int b) { return simulation.start[at(a)] < simulation.start[at(b)]; });
-    bool disturbed = false;
-    for (std::size_t k = 1; k < list.size(); ++k)
-      disturbed = disturbed || simulation.start[at(list[k])] < simulation.finish[at(list[k - 1])];
-    if (disturbed) continue;
     // What was asked of this XPU follows from the whole order.
     std::erase_if(ordered.order, [&](const std::pair<int, int>& pair) {
       return at(decision.xpu[at(pair.first)]) == x;

@@ -17,6 +17,11 @@ namespace xauto::solver {
                                                            const Solution& solution,
                                                            const Until& until = {});
 
+/// [xpu] Whether somebody starts on it while another one has not ended. `xpu`, `start`, `finish`: [xnode].
+[[nodiscard]] std::vector<char> where_some_suspend(int num_xpus, const std::vector<int>& xpu,
+                                                   const std::vector<Time>& start,
+                                                   const std::vector<Time>& finish);
+
 /// The decision with the order of its own schedule on every XPU on which that suspends nobody: at
 /// WCET nothing changes.
 [[nodiscard]] Decision order_undisturbed(const Problem& problem, const Decision& decision);

@@ -158,21 +158,15 @@ void Rules::relate(Windows& w, int i, int j, int type, Relation relation) const 
 
 void Rules::nest(Windows& w, int outer, int inner, int type, Time cost) const {
   w.nested.emplace_back(outer, inner);
+  w.extra[at(outer)] += problem_.wcet(inner, type) + cost - w.cut[at(outer)];
   if (all_pay_[at(type)] == 0) {
-    interrupt(w, outer, problem_.wcet(inner, type), cost);
-    return;
+    w.paid[at(outer)] += cost - w.cut[at(outer)];
+    w.cut[at(outer)] = cost;
+  } else if (w.starter[at(inner)] == 0) {
+    w.starter[at(inner)] = 1;
+    w.extra[at(inner)] += cost;
+    w.paid[at(inner)] += cost;
   }
-  w.extra[at(outer)] += problem_.wcet(inner, type) + cost;
-  if (w.starter[at(inner)] != 0) return;
-  w.starter[at(inner)] = 1;
-  w.extra[at(inner)] += cost;
-  w.paid[at(inner)] += cost;
-}
-
-void Rules::interrupt(Windows& w, int outer, Time inner_work, Time cost) {
-  w.extra[at(outer)] += inner_work + cost - w.cut[at(outer)];
-  w.paid[at(outer)] += cost - w.cut[at(outer)];
-  w.cut[at(outer)] = cost;
 }
 
 bool Rules::may_share(const Windows& w, int i, int j) const {

@@ -40,7 +40,6 @@ class Rules {
   /// All that is nested in `outer` runs within its span, and each pays; or, where who starts as another one ends does
   /// not, the first suspension costs at least once.
   void nest(Windows& w, int outer, int inner, int type, Time cost) const;
-  static void interrupt(Windows& w, int outer, Time inner_work, Time cost);
   /// Of those nested in one XNode, whoever starts first has suspended it, hence pays. So does one
   /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
   /// once no other XNode can join them: that all who may share the XPU with the one that is

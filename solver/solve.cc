@@ -208,7 +208,7 @@ Result<PriorityPlan> solve(const AppSpec& app, const Platform& platform,
     bound = result.bound;
     if (options.report != nullptr) {
       options.report->evaluations = result.evaluations;
-      if (result.ordered.makespan < kNever)
+      if (!chosen.ordered && result.ordered.makespan < kNever)
         options.report->ordered =
             make_policy(app, platform, problem, decided(result.ordered), options.method);
     }

@@ -44,8 +44,7 @@ struct SolveOptions {
 /// What a policy file has no place for.
 struct SolveReport {
   std::int64_t evaluations = 0;
-  /// Of what is ordered on every XPU the shortest that was found, whose worst case is its latency. Where the plan is
-  /// not, the difference is what that costs.
+  /// Where the plan is not ordered on every XPU, the shortest found that is: its worst case is its latency.
   std::optional<PriorityPlan> ordered;
   std::string proof;  ///< method ilp: who has proven what, in words
 };

@@ -83,7 +83,7 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   m.bound = policy.lower_bound_us;
   if (const auto emulated = emulate(app, platform, policy)) m.emulated = emulated->latency_us;
   m.optimal = policy.optimal;
-  m.certified = report.ordered ? report.ordered->latency_us : 0;
+  m.certified = report.ordered ? report.ordered->latency_us : policy.latency_us;
   m.evaluations_per_s = static_cast<double>(report.evaluations) / std::max(m.solve_s, 1e-9);
 
   solver::Decision decision;

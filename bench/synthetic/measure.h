@@ -30,7 +30,7 @@ struct Measured {
   std::int64_t xauto = 0;
   std::int64_t emulated = 0;   ///< XAuto's policy on the emulated XPUs; 0: not measured
   std::int64_t bound = 0;      ///< proven
-  std::int64_t certified = 0;  ///< of what is ordered on every XPU; 0: none
+  std::int64_t certified = 0;  ///< the least found that is ordered on every XPU
   std::int64_t unscheduled_ideal = 0, unscheduled_slices = 0;  ///< XAuto's assignment, time sharing
   std::int64_t unassigned = 0;  ///< fastest type each, instances and priorities searched
   std::int64_t first = 0;       ///< the first answer's latency

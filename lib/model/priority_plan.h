@@ -32,11 +32,12 @@ struct PriorityPlan {
   std::string method;                         ///< "ilp", "search", "heft", "local", "auto"
   std::vector<PriorityPlacement> placements;  ///< one per AppSpec::xnodes entry, same order
   /// Run-time order constraints (u, v) between XNodes of one XPU: v is not started before u has
-  /// finished, even when the XPU is idle. They remove timing anomalies (docs/solver.md).
+  /// finished, even when the XPU is idle. They remove timing anomalies (solver/order.h).
   std::vector<std::pair<int, int>> order;
   std::int64_t latency_us = 0;  ///< makespan of the predicted schedule, with `order` enforced
-  std::int64_t lower_bound_us =
-      0;                 ///< proven: no PriorityPlan for this app and platform is shorter
+  /// Proven: no PriorityPlan for this app and platform is shorter; or, with solver::SolveOptions::all_nested_pay, none
+  /// by that rule.
+  std::int64_t lower_bound_us = 0;
   bool optimal = false;  ///< proven: latency_us == lower_bound_us
   std::int64_t solve_us = 0;
   bool operator==(const PriorityPlan&) const = default;

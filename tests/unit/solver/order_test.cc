@@ -54,14 +54,19 @@ Case random_case(test::Dice& dice, int max_nodes) {
   return c;
 }
 
+/// Assignment and order at random, in the sequence that they give.
+Solution ordered_at_random(test::Dice& dice, const Problem& problem) {
+  const Decision random = test::random_decision(dice, problem);
+  OrderedEvaluator evaluator(problem);
+  evaluator.reset(random.xpu, sequence_of(random.priority));
+  return {evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true};
+}
+
 TEST(Order, AnOrderedScheduleIsItsOwnWorstCase) {
   for (std::uint64_t seed = 0; seed < 150; ++seed) {
     test::Dice dice(1500 + seed);
     const Case c = random_case(dice, 16);
-    const Decision random = test::random_decision(dice, c.problem);
-    OrderedEvaluator evaluator(c.problem);
-    evaluator.reset(random.xpu, sequence_of(random.priority));
-    const Solution solution{evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true};
+    const Solution solution = ordered_at_random(dice, c.problem);
     Decision decision = to_decision(solution);
     decision.order = order_pairs(c.problem, solution);
     ASSERT_EQ(simulate(c.problem, decision).makespan, solution.makespan) << "seed " << seed;
@@ -69,14 +74,12 @@ TEST(Order, AnOrderedScheduleIsItsOwnWorstCase) {
         << "seed " << seed;
   }
 }
+
 TEST(Order, OrderPairsAreMinimal) {
   for (std::uint64_t seed = 0; seed < 40; ++seed) {
     test::Dice dice(3000 + seed);
     const Case c = random_case(dice, 14);
-    const Decision random = test::random_decision(dice, c.problem);
-    OrderedEvaluator evaluator(c.problem);
-    evaluator.reset(random.xpu, sequence_of(random.priority));
-    const auto pairs = order_pairs(c.problem, {evaluator.xpu(), evaluator.sequence(), 0, true});
+    const auto pairs = order_pairs(c.problem, ordered_at_random(dice, c.problem));
     // Without any one of them, its two XNodes are no longer ordered.
     for (const auto& left_out : pairs) {
       std::vector<std::vector<int>> succ = c.problem.succ;
@@ -90,6 +93,7 @@ TEST(Order, OrderPairsAreMinimal) {
     }
   }
 }
+
 /// Else the tests above would prove nothing.
 TEST(Order, WithoutItAShorterJobMayLengthenTheWhole) {
   int anomalies = 0;
@@ -101,6 +105,23 @@ TEST(Order, WithoutItAShorterJobMayLengthenTheWhole) {
     anomalies += longest_execution(dice, c.problem, decision, 200) > at_wcet ? 1 : 0;
   }
   EXPECT_GT(anomalies, 0);
+}
+
+/// docs/ilp.md, consequence 3, where preemption is free.
+TEST(Order, PrioritiesByFinishHaveNoAnomalies) {
+  for (std::uint64_t seed = 0; seed < 150; ++seed) {
+    test::Dice dice(80'000 + seed);
+    Case c = random_case(dice, 16);
+    c.problem.preemptive.assign(c.problem.preemptive.size(), 1);
+    c.problem.preempt.assign(c.problem.preempt.size(), 0);
+    c.problem.levels.assign(c.problem.levels.size(), 0);
+    Decision decision = test::random_decision(dice, c.problem);
+    const Simulation drawn = simulate(c.problem, decision);
+    decision.priority = priorities_by_key(drawn.finish);
+    const Time at_wcet = simulate(c.problem, decision).makespan;
+    ASSERT_LE(at_wcet, drawn.makespan) << "seed " << seed;
+    ASSERT_LE(longest_execution(dice, c.problem, decision, 400), drawn.makespan) << "seed " << seed;
+  }
 }
 
 TEST(Order, WhatIsAskedToBeOrderedIs) {
@@ -120,6 +141,7 @@ TEST(Order, WhatIsAskedToBeOrderedIs) {
   decision.order = policy->order;
   EXPECT_LE(longest_execution(dice, c.problem, decision, 1000), policy->latency_us);
 }
+
 TEST(Order, TheOrderOfAnUndisturbedXpuChangesNothingAtWcet) {
   int added = 0;
   for (std::uint64_t seed = 0; seed < 200; ++seed) {
