@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# What `make check` does: style, the tests in a release build, the Debian packages in a clean root, the kernel side in booted
-# VMs, the tests under ASan+UBSan and under TSan; what waits runs beside what computes. Each part runs by itself with
+# What `make check` does: style, the tests in a release build, the kernel side in booted VMs, the tests under ASan+UBSan and under
+# TSan, and the Debian packages in a clean root where what makes them changed; what waits runs beside what computes. Each part runs by itself with
 # `make style|unit|asan|tsan|fuzz|kernel-check|package-check|floor-check|jetpack-check`; `make check-fast` and `make check-full` do less and more.
 # What failed is named again before the last line, which is the count over all parts.
 set -uo pipefail
@@ -144,22 +144,18 @@ tsan_build() {
 tsan_tests() { note "tests, TSan"; areas build-tsan -R "^area\.($threaded)\$"; }
 tsan() { tsan_build && tsan_tests; }
 heavy() { note "heavy tests, release"; tests build -L heavy; }
-# A VM takes one core most of the time: what compiles goes on beside it, then tests, one by one until the last VM has ended. What has
-# most to compute comes last.
+# A VM takes one core most of the time: beside it go tests, one by one until the last VM has ended. What has most to compute comes last.
 beside_the_vms() {
   local parallel=$jobs
   ! kill -0 "$side" 2>/dev/null || parallel=1
   "$@"
 }
 kernel_and_sanitizers() {
-  local asan_built=1 tsan_built=1
   kernel_build || { asan; tsan; heavy; return; }
   beside "the kernel side" scripts/kernel-check.sh build
   renice -n 10 -p $$ >/dev/null # a guest that waits for its core sees a stall
-  asan_build && asan_built=0
-  tsan_build && tsan_built=0
-  [ $tsan_built -ne 0 ] || beside_the_vms tsan_tests
-  [ $asan_built -ne 0 ] || { beside_the_vms fuzzers; beside_the_vms asan_tests; }
+  tsan_build && beside_the_vms tsan_tests
+  asan_build && { beside_the_vms fuzzers; beside_the_vms asan_tests; }
   beside_the_vms heavy
   note "the rest of the VMs"
   joined
@@ -226,18 +222,28 @@ kernel_build() {
   note "kernel side, in VMs"
 }
 kernel() { kernel_build && counted "the kernel side" scripts/kernel-check.sh build; }
-# Style beside the compiler; the packages, which compute, beside the integration scripts, which wait.
-release_and_packages() {
+# Style beside the compiler; the sanitizers' builds, which compute, beside the integration scripts, which mostly wait: they have what
+# those leave. So have the packages, where they are to be tried.
+release_and_builds() {
   local built=1
   note "style, beside the build"
   beside "style" scripts/check.sh style
   build ci build "${release[@]}" kmod_tests scx_tests && built=0
   joined
   [ $built -eq 0 ] || return
-  note "integration, beside the packages in a clean Debian root"
-  beside "the packages" scripts/package-check.sh build
+  note "integration, beside the builds for the sanitizers"
+  beside "the builds" chrt --idle 0 scripts/check.sh builds
   integration build -LE long
   joined
+}
+builds() {
+  asan_build
+  tsan_build
+  one "what libxauto exports" scripts/check-exports.sh build
+  if ! scripts/package-check.sh --tried; then
+    note "packages, in a clean Debian root"
+    counted "the packages" scripts/package-check.sh build
+  fi
 }
 floor() {
   note "the oldest tools, in a Debian 11 root"
@@ -248,20 +254,23 @@ jetpack() {
   note "the packages for JetPack, on an emulated arm64 machine"
   counted "the packages for JetPack" scripts/jetpack-check.sh
 }
-# The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
+# The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts. `check` does it if what
+# makes them is not what it was when this passed last.
 package() {
+  local before=$failed:$skipped
   build ci build "${release[@]}" || return
   note "packages, in a clean Debian root"
   counted "the packages" scripts/package-check.sh build
+  [ "$failed:$skipped" != "$before" ] || scripts/package-check.sh --inputs >tests/package/tried
 }
 fuzz() { asan_build && fuzzers; }
 
 case ${1:-check} in
   check)
-    release_and_packages
+    release_and_builds
     kernel_and_sanitizers
     ;;
-  style | unit | asan | tsan | fuzz | kernel | package | fast | full | floor | jetpack) "$1" ;;
+  style | builds | unit | asan | tsan | fuzz | kernel | package | fast | full | floor | jetpack) "$1" ;;
   *)
     echo "usage: scripts/check.sh [check|fast|full|style|unit|asan|tsan|fuzz|kernel|package|floor]" >&2
     exit 2

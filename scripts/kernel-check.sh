@@ -43,10 +43,10 @@ in_vm() {
   local name=$1 kernel=$2 run=$3 status before=$failed root=()
   shift 3
   case ${1:-} in ROOT=*) root=("$1") && shift ;; esac
-  scripts/vm/mk-initrd.sh "$out/$name.cpio.gz" "${root[@]}" "tests/vm/$run:/tests/run" tests/vm/kselftest:/tests/kselftest "$@" || { failed=$((failed + 1)); return; }
-  scripts/vm/run-vm.sh "$kernel" "$out/$name.cpio.gz" "$out/$name.log"
+  scripts/vm/mk-initrd.sh "$out/$name.cpio" "${root[@]}" "tests/vm/$run:/tests/run" tests/vm/kselftest:/tests/kselftest "$@" || { failed=$((failed + 1)); return; }
+  scripts/vm/run-vm.sh "$kernel" "$out/$name.cpio" "$out/$name.log"
   status=$?
-  rm -f "$out/$name.cpio.gz"
+  rm -f "$out/$name.cpio"
   count "$out/$name.log"
   case $status in
     0) ;;
@@ -123,10 +123,10 @@ kasan() {
     mapfile -t items < <(PLANT=$patch modules_of "$kernel" "$out/plant-$name")
     [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); continue; }
     items+=("$out/kselftest:/kselftest") # the lane's
-    scripts/vm/mk-initrd.sh "$out/plant-$name.cpio.gz" tests/vm/run-plant:/tests/run "${items[@]}"
+    scripts/vm/mk-initrd.sh "$out/plant-$name.cpio" tests/vm/run-plant:/tests/run "${items[@]}"
     # How the guest ends is not asked: it is broken.
-    VM_MEMORY=2G VM_APPEND="loglevel=5" scripts/vm/run-vm.sh "$kernel" "$out/plant-$name.cpio.gz" "$out/plant-$name.log"
-    rm -f "$out/plant-$name.cpio.gz"
+    VM_MEMORY=2G VM_APPEND="loglevel=5" scripts/vm/run-vm.sh "$kernel" "$out/plant-$name.cpio" "$out/plant-$name.log"
+    rm -f "$out/plant-$name.cpio"
     if grep -qE "$(sed -n 's/^# reported: //p' "$patch")" "$out/plant-$name.log"; then
       passed=$((passed + 1))
     else
@@ -237,18 +237,18 @@ parts() {
   items+=("$out/guest_clock" "$out/parts.policy.json:/parts/policy.json" "$build/lib/xauto/cyclonedds.so:/lib/xauto/cyclonedds.so")
   rm -f "$wire"
   export VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-600}
-  scripts/vm/mk-initrd.sh "$out/parts-rear.cpio.gz" tests/vm/run-parts:/tests/run "${items[@]}" || { failed=$((failed + 1)); return; }
+  scripts/vm/mk-initrd.sh "$out/parts-rear.cpio" tests/vm/run-parts:/tests/run "${items[@]}" || { failed=$((failed + 1)); return; }
   (
     while [ ! -S "$wire" ]; do sleep 0.2; done
     VM_MORE="-netdev stream,id=n,server=off,addr.type=unix,addr.path=$wire -device virtio-net-pci,netdev=n,mac=52:54:00:00:00:02" \
-      VM_APPEND="xauto.part=rear ${VM_APPEND:-}" scripts/vm/run-vm.sh "$kernel" "$out/parts-rear.cpio.gz" "$out/parts-rear.log"
+      VM_APPEND="xauto.part=rear ${VM_APPEND:-}" scripts/vm/run-vm.sh "$kernel" "$out/parts-rear.cpio" "$out/parts-rear.log"
   ) &
   rear=$!
   VM_MORE="-netdev stream,id=n,server=on,addr.type=unix,addr.path=$wire -device virtio-net-pci,netdev=n,mac=52:54:00:00:00:01" \
     VM_APPEND="xauto.part=front ${VM_APPEND:-}" in_vm "parts-$1" "$kernel" run-parts "${items[@]}"
   kill $rear 2>/dev/null
   wait $rear 2>/dev/null
-  rm -f "$wire" "$out/parts-rear.cpio.gz"
+  rm -f "$wire" "$out/parts-rear.cpio"
 }
 
 # The Driving Case over the emulator modules, in the guest's own virtual time.

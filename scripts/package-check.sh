@@ -3,11 +3,22 @@
 # Makes the packages of a finished build and tries them: lintian, the ABI, and in a clean Debian 12 root install, build the template
 # app, profile, solve, run, report, build the module by DKMS, purge. What `make package-check` does and `make check` includes.
 # usage: package-check.sh [BUILD_DIR]       Prints TAP and a last line "N passed, M failed, K skipped"; logs in BUILD_DIR/package/
+#        package-check.sh --inputs           a hash of what makes the packages and tries them, but for what is compiled
+#        package-check.sh --tried            status 0: it is that of tests/package/tried, with which all of it passed
 # Everything is mounted in a mount namespace of its own, in memory: however this ends, nothing stays mounted.
 set -uo pipefail
 root=$(realpath "$(dirname "$0")/..")
 cd "$root" || exit 2
 . tests/package/tap.sh
+inputs() {
+  git ls-files -z -- debian packaging include kmod Kbuild LICENSE CMakeLists.txt cmake {lib,solver,tools}/CMakeLists.txt examples/template \
+    examples/camera tools/python scripts/package-{abi,build,check,root}.sh tests/package ':!tests/package/tried' |
+    xargs -0 sha256sum | sha256sum | cut -d ' ' -f 1
+}
+case ${1:-} in
+  --inputs) inputs; exit ;;
+  --tried) [ "$(inputs)" = "$(cat tests/package/tried 2>/dev/null)" ]; exit ;;
+esac
 if [ "${1:-}" != --inside ]; then
   build=$(realpath -m "${1:-build}")
   if [ "$(id -u)" -ne 0 ] || ! unshare --mount --pid --fork true 2>/dev/null; then

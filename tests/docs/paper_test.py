@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make paper` with QUICK=1: the page holds each figure of the paper's section 6 and nothing from elsewhere; its numbers and
-verdicts follow from what was computed and run; docs/paper.md is what its record gives; and the page is legible in light and
-dark, on a desk and on a telephone, where there is a Chromium to look with."""
+"""The page of section 6 of the paper holds each of its figures and nothing from elsewhere; its numbers and verdicts follow from
+what was computed and run; docs/paper.md is what its record gives; and the page is legible in light and dark, on a desk and on a
+telephone, where there is a Chromium to look with. XAUTO_FULL=1 computes and runs all of it, as `make paper QUICK=1` does;
+otherwise the page is that of the committed record."""
 import copy
 import json
 import math
 import os
 import pathlib
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -18,6 +20,8 @@ BUILD = pathlib.Path(os.environ.get("XAUTO_BIN", SOURCE / "build/bin")).parent
 sys.path += [str(SOURCE / "scripts"), str(SOURCE / "tests/browser"), str(SOURCE / "tests/integration")]
 import paper_page
 
+FULL = bool(os.environ.get("XAUTO_FULL"))
+RECORD = SOURCE / "docs/results/paper.json"
 FIGURES = ("timelines", "fig8", "heft", "fig9", "fig10", "ablation", "driving", "fig11", "solving", "runs", "overhead", "runtime")
 
 
@@ -32,8 +36,10 @@ class Paper(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(folder.cleanup)
         cls.out = pathlib.Path(folder.name)
-        done = subprocess.run([sys.executable, SOURCE / "scripts/paper.py", "--quick", "--bin", BUILD, "--out", cls.out],
-                              capture_output=True, text=True, timeout=240)
+        if not FULL:
+            shutil.copy(RECORD, cls.out)
+        done = subprocess.run([sys.executable, SOURCE / "scripts/paper.py", "--quick" if FULL else "--render", "--bin", BUILD,
+                               "--out", cls.out], capture_output=True, text=True, timeout=240)
         assert done.returncode == 0, done.stderr
         cls.data = json.loads((cls.out / "paper.json").read_text())
         cls.page = (cls.out / "index.html").read_text()
@@ -49,7 +55,7 @@ class Paper(unittest.TestCase):
             self.assertIn(kind, ("Computed", "Run", "Measured"), name)
             self.assertRegex(body, r"<p>Paper: ", name)
             self.assertRegex(body, r'<b class="v (holds|part|no|open)">', name)
-        for words in ("revision", "QUICK=1", "no result", "Load average", "Nothing was measured on a Jetson"):
+        for words in ("revision", *(("QUICK=1", "no result") if FULL else ("made by",)), "Load average", "Nothing was measured on a Jetson"):
             self.assertIn(words, self.page)
 
     def test_the_page_needs_nothing_else(self):
@@ -67,10 +73,10 @@ class Paper(unittest.TestCase):
             table = [r for r in self.figure("ablation").rows if r[:2] == [platform, "all"]]
             self.assertEqual(table[0][3], f"{-without:.1f}")
         data = copy.deepcopy(self.data)  # of {1/2, 2} the arithmetic mean is 1.25
-        rows = [r for r in data["workload"] if r["platform"] == "small"][:2]
-        data["workload"] = [r for r in data["workload"] if r["platform"] != "small"] + rows
-        rows[0].update(ros2_slices_us=1000, xauto_us=2000)
-        rows[1].update(ros2_slices_us=2000, xauto_us=1000)
+        rows = [r for r in data["workload"] if r["platform"] == "small"]
+        for slow, fast in zip(rows[::2], rows[1::2], strict=True):
+            slow.update(ros2_slices_us=1000, xauto_us=2000)
+            fast.update(ros2_slices_us=2000, xauto_us=1000)
         self.assertIn("1.000 (small)", self.figure("fig8", data).result)
 
     def test_verdicts_follow_from_the_numbers(self):
@@ -106,9 +112,10 @@ class Paper(unittest.TestCase):
         for part in ("runs", "kept"):
             data[part] = [{"platform": r["platform"], "nodes": r["nodes"], "seed": r["seed"], "failed": "killed"} for r in data[part]]
         self.assertEqual({r[5] for r in self.figure("fig8", data).rows}, {"–"})
-        self.assertIn("0 of 3 DAGs ran", self.figure("runs", data).result)
+        self.assertIn(f"0 of {len(data['runs'])} DAGs ran", self.figure("runs", data).result)
         self.assertEqual(self.figure("runs", data).verdict, paper_page.PARTLY)
 
+    @unittest.skipUnless(FULL, "of the run that XAUTO_FULL=1 makes")
     def test_all_that_should_run_did(self):
         self.assertEqual({r["platform"] for r in self.data["runs"]}, {"small", "large", "core-ultra-4"})
         for row in (*self.data["runs"], *self.data["columns"], *self.data["driving"]):
@@ -126,7 +133,7 @@ class Paper(unittest.TestCase):
             self.assertTrue(row["brute_s"] is None or not row["optimal"] or row["brute_us"] == row["solve_us"], row)
 
     def test_docs_are_what_their_record_gives(self):
-        record = json.loads((SOURCE / "docs/results/paper.json").read_text())
+        record = json.loads(RECORD.read_text())
         self.assertEqual(record["kind"], "usual")
         self.assertEqual((SOURCE / "docs/paper.md").read_text(), paper_page.markdown(record),
                          "scripts/paper.py --render --out FOLDER --docs docs/paper.md")

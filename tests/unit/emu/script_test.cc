@@ -2,7 +2,6 @@
 // Emulation scripts in virtual time: cases by hand, and random ones against a second simulator that
 // goes from nanosecond to nanosecond. No clock.
 #include <algorithm>
-#include <cstdlib>
 #include <map>
 #include <random>
 #include <set>
@@ -16,6 +15,7 @@
 #include "emu/script_play.h"
 #include "emu/snapshot.h"
 
+#include "../cases.h"
 #include "times.h"
 
 namespace xauto::emu {
@@ -343,7 +343,7 @@ EmulationScript random_script(std::mt19937& random) {
 TEST(Script, AgreesWithASecondSimulatorNanosecondByNanosecond) {
   std::map<int, int> kinds;
   int deaths = 0;
-  const unsigned seeds = std::getenv("XAUTO_FULL") != nullptr ? 600 : 24;
+  const auto seeds = static_cast<unsigned>(test::cases(24, 600));
   for (unsigned seed = 0; seed < seeds && !HasFailure(); ++seed) {
     SCOPED_TRACE(seed);
     std::mt19937 random(seed);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // The worst case of a chain: the solver's count against the checker's, which share no code.
-#include <cstdlib>
 #include <set>
 #include <string>
 #include <utility>
@@ -16,6 +15,7 @@
 #include "solver/keys/problem.h"
 #include "solver/keys/solve.h"
 
+#include "../cases.h"
 #include "keys_random.h"
 #include "problem_random.h"
 
@@ -223,7 +223,7 @@ AppSpec random_groups(std::uint64_t seed) {
 
 TEST(KeysChains, OfRandomGroupsCheckDerivesNoMore) {
   const Platform platform = *Platform::builtin("small");
-  const int apps = std::getenv("XAUTO_FULL") != nullptr ? 40 : 20;  // `make check`: the first half
+  const int apps = xauto::test::cases(8, 40);
   int solved = 0;
   for (std::uint64_t seed = 1; seed <= static_cast<std::uint64_t>(apps); ++seed) {
     const AppSpec app = random_groups(seed);

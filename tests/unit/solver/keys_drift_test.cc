@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Clocks far worse than any: what solve answers, check accepts.
 #include <cstdint>
-#include <cstdlib>
 #include <set>
 #include <string>
 #include <utility>
@@ -16,6 +15,7 @@
 #include "solver/keys/check.h"
 #include "solver/keys/solve.h"
 
+#include "../cases.h"
 #include "problem_random.h"
 
 namespace xauto::solver::keys {
@@ -209,9 +209,8 @@ AppSpec random_beside(solver::test::Dice& dice) {
   return app;
 }
 
-/// `make check` tries the first quarter.
 TEST(KeysDrift, WhatSolveAnswersPassesTheCheck) {
-  const int apps = std::getenv("XAUTO_FULL") != nullptr ? 150 : 40;
+  const int apps = xauto::test::cases(16, 150);
   int policies = 0, gated = 0;
   for (std::uint64_t seed = 1; seed <= static_cast<std::uint64_t>(apps); ++seed) {
     solver::test::Dice dice(seed);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Early start, played against random policies by the attack, which has the rule by itself.
-#include <cstdlib>
 #include <map>
 
 #include <gtest/gtest.h>
 
+#include "../cases.h"
 #include "attack/attack.h"
 #include "attack/producer.h"
 
@@ -56,10 +56,10 @@ TEST(KeysEarly, NobodyStartsTooEarlyByTheRule) {
   }
 }
 
-/// Readers of other clocks wait for keys, and for no more. `make check` tries the first tenth.
+/// Readers of other clocks wait for keys, and for no more.
 TEST(KeysEarly, NobodyReadsTooEarlyOfAnotherClock) {
   using attack::Early;
-  const std::uint64_t last = std::getenv("XAUTO_FULL") != nullptr ? 1200 : 120;
+  const auto last = static_cast<std::uint64_t>(xauto::test::cases(120, 1200));
   int made = 0, without_samples = 0;
   for (std::uint64_t seed = 1; seed <= last; ++seed) {
     attack::Wanted w = several(seed);

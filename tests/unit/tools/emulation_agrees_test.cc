@@ -3,7 +3,6 @@
 // rules. Here random apps run on both, in virtual time, and must finish every XNode at the same
 // microsecond. So do the simulator of policies, and those devices under the coordinator's decisions.
 #include <algorithm>
-#include <cstdlib>
 #include <limits>
 #include <map>
 #include <random>
@@ -14,6 +13,7 @@
 #include "solver/simulate.h"
 #include "solver/solve.h"
 
+#include "../cases.h"
 #include "bench/synthetic/emulate.h"
 #include "bench/synthetic/time_sharing.h"
 
@@ -103,7 +103,7 @@ void compare(bench::Sharing sharing) {
 /// within another is paid differs by a rule of the devices.
 TEST(EmulationAgrees, UnderTheCoordinatorsDecisionsWithTheRuleThatPoliciesArePlannedBy) {
   int preemptions = 0, limited = 0;
-  const unsigned seeds = std::getenv("XAUTO_FULL") != nullptr ? 4000 : 1200;
+  const auto seeds = static_cast<unsigned>(test::cases(1200, 4000));
   for (unsigned seed = 0; seed < seeds; ++seed) {
     std::mt19937 random(seed);
     // Jobs come to the GPU from everywhere: chains over all XPUs, with some edges between them.

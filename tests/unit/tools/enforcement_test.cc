@@ -17,6 +17,8 @@
 #include "model/demand.h"
 #include "solver/keys/check.h"
 
+#include "../cases.h"
+
 namespace xauto {
 namespace {
 
@@ -163,7 +165,7 @@ std::int64_t play(const Setting& s, Fault fault, std::mt19937& random) {
 int num_settings() {
   const char* const asked = std::getenv("XAUTO_SETTINGS");
   if (asked != nullptr) return std::atoi(asked);
-  return std::getenv("XAUTO_FULL") != nullptr ? 1'000'000 : 5'000;
+  return test::cases(5'000, 1'000'000);
 }
 
 TEST(Enforcement, WhoIsAdmittedEndsByItsKeysWhateverOthersDo) {
