@@ -21,7 +21,7 @@
 namespace xauto::emu {
 namespace {
 
-Machine small(EmulationScript script) {
+Machine small(const EmulationScript& script) {
   auto machine = Machine::create(*Platform::builtin("small"), script);
   EXPECT_TRUE(machine) << machine.error().to_string();
   return std::move(*machine);

@@ -179,7 +179,7 @@ TEST(KeysBounds, NoCertificateOfKeysAloneIsBelowThatOfOneRelease) {
   for (int k = 0; k < apps; ++k) {
     GenerateOptions synthetic;
     synthetic.nodes = 5 + k % 6;
-    synthetic.seed = static_cast<std::uint64_t>(k + 1);
+    synthetic.seed = static_cast<std::uint64_t>(k) + 1;
     const AppSpec app = *parse_app(to_json(*generate(synthetic)), "app.json");
     Platform platform = *Platform::builtin("small");
     std::erase_if(platform.xpus, [](const Xpu& x) { return x.type == "cpu" && x.id != "cpu0"; });
