@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # What `make check` does: style, the tests in a release build, the kernel side in booted VMs, the tests under ASan+UBSan and under
-# TSan, and the Debian packages in a clean root where what makes them changed; what waits runs beside what computes. Each part runs by itself with
-# `make style|unit|asan|tsan|fuzz|kernel-check|package-check|floor-check|jetpack-check`; `make check-fast` and `make check-full` do less and more.
+# TSan, and the Debian packages in a clean root where what makes them changed; what waits runs beside what computes. Each part
+# runs by itself with `make style|unit|asan|tsan|fuzz|kernel-check|package-check|floor-check|jetpack-check`; `make check-fast` and `make check-full` do less and more.
 # What failed is named again before the last line, which is the count over all parts.
 set -uo pipefail
 cd "$(dirname "$0")/.."
@@ -154,6 +154,7 @@ kernel_and_sanitizers() {
   kernel_build || { asan; tsan; heavy; return; }
   beside "the kernel side" scripts/kernel-check.sh build
   renice -n 10 -p $$ >/dev/null # a guest that waits for its core sees a stall
+  # `builds` has made them, in a process of its own: this only finds that out.
   tsan_build && beside_the_vms tsan_tests
   asan_build && { beside_the_vms fuzzers; beside_the_vms asan_tests; }
   beside_the_vms heavy
@@ -240,10 +241,7 @@ builds() {
   asan_build
   tsan_build
   one "what libxauto exports" scripts/check-exports.sh build
-  if ! scripts/package-check.sh --tried; then
-    note "packages, in a clean Debian root"
-    counted "the packages" scripts/package-check.sh build
-  fi
+  scripts/package-check.sh --tried || try_packages
 }
 floor() {
   note "the oldest tools, in a Debian 11 root"
@@ -254,13 +252,16 @@ jetpack() {
   note "the packages for JetPack, on an emulated arm64 machine"
   counted "the packages for JetPack" scripts/jetpack-check.sh
 }
-# The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts. `check` does it if what
-# makes them is not what it was when this passed last.
+# The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
+try_packages() {
+  note "packages, in a clean Debian root"
+  counted "the packages" scripts/package-check.sh build
+}
+# What makes them is noted where all passed: until it is something else, `check` need not try them.
 package() {
   local before=$failed:$skipped
   build ci build "${release[@]}" || return
-  note "packages, in a clean Debian root"
-  counted "the packages" scripts/package-check.sh build
+  try_packages
   [ "$failed:$skipped" != "$before" ] || scripts/package-check.sh --inputs >tests/package/tried
 }
 fuzz() { asan_build && fuzzers; }

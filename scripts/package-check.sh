@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Makes the packages of a finished build and tries them: lintian, the ABI, and in a clean Debian 12 root install, build the template
-# app, profile, solve, run, report, build the module by DKMS, purge. What `make package-check` does and `make check` includes.
+# app, profile, solve, run, report, build the module by DKMS, purge. What `make package-check` does, and
+# `make check` where --tried says no.
 # usage: package-check.sh [BUILD_DIR]       Prints TAP and a last line "N passed, M failed, K skipped"; logs in BUILD_DIR/package/
 #        package-check.sh --inputs           a hash of what makes the packages and tries them, but for what is compiled
 #        package-check.sh --tried            status 0: it is that of tests/package/tried, with which all of it passed

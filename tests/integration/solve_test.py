@@ -102,7 +102,7 @@ class Solve(unittest.TestCase):
 
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
         app = self.app(40, 5)  # not proven within half a minute
-        code, out, err, policy, memory = self.solve(app, "--threads", 1, "--time-limit", "600s",
+        code, out, err, policy, memory = self.solve(app, "--time-limit", "600s",
                                                     interrupt_when=lambda err: err.count("best ") >= 2)
         self.assertEqual(code, 0, err)
         self.assertIn("interrupted: best so far", out)

@@ -199,7 +199,7 @@ TEST(KeysBounds, NoCertificateOfKeysAloneIsBelowThatOfOneRelease) {
     optimal += claim.optimal ? 1 : 0;
   }
   EXPECT_EQ(optimal, apps);
-  EXPECT_GE(reached, apps * 9 / 10);
+  EXPECT_GE(10 * reached, 9 * apps);
 }
 
 /// One XPU of each type, so that all XNodes of a type meet.

@@ -234,7 +234,7 @@ TEST(KeysObjective, APlanThatSuspendsIsCertifiedAsItIs) {
       EXPECT_TRUE(checked) << seed << ": " << checked.error().to_string();
     }
   }
-  EXPECT_GT(held, apps * 2 / 3);
+  EXPECT_GT(3 * held, 2 * apps);
 }
 
 /// ... of worst case / deadline, of the Driving Case at its rates; `gpu`: its LiDAR's net is to be there.

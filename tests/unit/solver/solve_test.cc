@@ -61,7 +61,7 @@ TEST(Solve, IlpNeverAnswersWorseThanHeftNorBelowTheOptimum) {
     EXPECT_EQ(policy->method, "ilp");
     proven += policy->optimal;
   }
-  EXPECT_GE(proven, apps * 5 / 8);
+  EXPECT_GE(8 * proven, 5 * apps);
 }
 
 TEST(Solve, PreemptiveXpusDoNotMakeTheAnswerWorse) {
