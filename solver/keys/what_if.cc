@@ -2,11 +2,14 @@
 #include "solver/keys/what_if.h"
 
 #include <algorithm>
+#include <atomic>
 #include <charconv>
+#include <optional>
 #include <set>
 
 #include "base/clock.h"
 #include "model/components.h"
+#include "solver/threads.h"
 
 namespace xauto::solver::keys {
 namespace {
@@ -117,25 +120,41 @@ Result<Moves> moves(const AppSpec& app, const Platform& platform, const Policy& 
     }
   }
   Moves made;
+  const std::size_t threads =
+      static_cast<std::size_t>(std::clamp(options.threads, 1, kMostThreads));
   Options keep = options;
   keep.keep = Keep::kPlacement;
-  keep.time_limit_s = made.each_s = std::clamp(
-      options.time_limit_s / static_cast<double>(std::max<std::size_t>(1, elsewhere.size())),
-      kLeastMoveS, kMostMoveS);
+  keep.threads = 1;  // of each: they are searched beside each other
+  keep.time_limit_s = made.each_s =
+      std::clamp(options.time_limit_s * static_cast<double>(threads) /
+                     static_cast<double>(std::max<std::size_t>(1, elsewhere.size())),
+                 kLeastMoveS, kMostMoveS);
   const std::int64_t start_ns = now_ns();
-  for (const auto& [i, x] : elsewhere) {
-    if (static_cast<double>(now_ns() - start_ns) >= options.time_limit_s * 1e9 ||
-        (options.stop != nullptr && options.stop->load())) {
-      ++made.untried;
-      continue;
+  std::vector<std::optional<Result<WhatIf>>> answers(elsewhere.size());
+  std::atomic<std::size_t> next{0};
+  const auto work = [&] {
+    for (std::size_t k; (k = next.fetch_add(1)) < elsewhere.size();) {
+      if (static_cast<double>(now_ns() - start_ns) >= options.time_limit_s * 1e9 ||
+          (options.stop != nullptr && options.stop->load()))
+        return;
+      const auto& [i, x] = elsewhere[k];
+      Policy moved = policy;
+      moved.placements[static_cast<std::size_t>(i)].xpu = x;
+      answers[k] = ask(app, platform, moved,
+                       app.xnodes[static_cast<std::size_t>(i)].name + " on " +
+                           platform.xpus[static_cast<std::size_t>(x)].id,
+                       keep);
     }
-    Policy moved = policy;
-    moved.placements[static_cast<std::size_t>(i)].xpu = x;
-    auto answer = ask(app, platform, moved,
-                      app.xnodes[static_cast<std::size_t>(i)].name + " on " +
-                          platform.xpus[static_cast<std::size_t>(x)].id,
-                      keep);
-    if (answer) made.tried.push_back(std::move(*answer));
+  };
+  Threads pool;
+  for (std::size_t t = 1; t < threads && pool.start(work);) ++t;
+  work();
+  pool.join();
+  for (std::optional<Result<WhatIf>>& answer : answers) {
+    if (!answer)
+      ++made.untried;
+    else if (*answer)
+      made.tried.push_back(std::move(**answer));
   }
   return made;
 }

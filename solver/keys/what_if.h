@@ -34,7 +34,7 @@ struct Moves {
 
 /// One XNode of `xnodes` elsewhere, everybody else where `policy` has them: for each other XPU that
 /// it may run on, of equal ones that serve nobody only one. What is pinned, forbidden, or not with its group is no
-/// move. `options.time_limit_s` is of all together.
+/// move. `options.time_limit_s` is of all together; `options.threads` are searched at a time.
 [[nodiscard]] Result<Moves> moves(const AppSpec& app, const Platform& platform,
                                   const Policy& policy, const std::vector<int>& xnodes,
                                   const Options& options);

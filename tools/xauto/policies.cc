@@ -993,6 +993,7 @@ Result<int> explain_policy(const AppSpec& app, const Platform& platform, const s
   const Holds holds = holds_of(app, platform, policy, report, moves_s * kPartOfHolds);
   keys::Options asked;
   asked.time_limit_s = moves_s * (1 - kPartOfHolds);
+  asked.threads = 2;
   XAUTO_ASSIGN(const keys::Moves moved, keys::moves(app, platform, policy, to_move, asked));
   const auto names = [&](std::size_t c) { return names_on_path(app, ways[c], c); };
   if (options.json) {
