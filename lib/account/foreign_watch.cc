@@ -5,13 +5,17 @@
 #include <charconv>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <sstream>
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <sched.h>
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/rt.h"
+#include "base/unique_fd.h"
 #include "base/utf8.h"
 #include "processes/address.h"
 
@@ -24,8 +28,9 @@ constexpr std::int64_t kRunsNs = 1'000'000'000, kSilentNs = 60'000'000'000;
 constexpr std::size_t kMostNames = 3;
 /// Of a fork bomb not all are looked at.
 constexpr int kMostThreads = 8192;
-/// Who takes a core from real-time threads is one itself, and may sleep just now.
+/// Who takes a core from real-time threads is one itself. The kernel's own run for microseconds now and then.
 constexpr int kLooksForRealtime = 10;
+constexpr std::int64_t kTakesNs = 1'000'000, kPartOfLook = 100;
 constexpr int kDeadline = 6, kExt = 7;  // linux/sched.h
 
 const char* policy_name(int policy) {
@@ -43,13 +48,14 @@ const char* policy_name(int policy) {
   }
 }
 
-struct Runner {
-  std::string name;  ///< empty: it does not run there
+struct Thread {
+  std::string name;  ///< empty: the kernel ran it elsewhere
   bool realtime = false;
+  std::int64_t ran_ns = 0;
 };
 
-Runner runner(const std::string& stat, pid_t process, int core) {
-  std::ifstream file(stat);
+Thread thread_of(const std::string& folder, pid_t process, int core) {
+  std::ifstream file(folder + "/stat");
   std::string text;
   std::getline(file, text);
   const std::size_t from = text.find('('), to = text.rfind(')');  // a name may have any bytes
@@ -57,16 +63,18 @@ Runner runner(const std::string& stat, pid_t process, int core) {
   std::istringstream fields(text.substr(to + 1));
   std::vector<std::string> of;  // from field 3 on, proc(5)
   for (std::string field; fields >> field;) of.push_back(field);
-  constexpr std::size_t kState = 0, kProcessor = 36, kPriority = 37, kPolicy = 38;
-  if (of.size() <= kPolicy || of[kState] != "R" || of[kProcessor] != std::to_string(core))
-    return {};
+  constexpr std::size_t kProcessor = 36, kPriority = 37, kPolicy = 38;
+  if (of.size() <= kPolicy || of[kProcessor] != std::to_string(core)) return {};
+  const UniqueFd schedstat(open((folder + "/schedstat").c_str(), O_RDONLY | O_CLOEXEC));
+  const auto times = rt::times_of(schedstat.get());
+  if (!times) return {};
   int policy = 0;
   std::from_chars(of[kPolicy].data(), of[kPolicy].data() + of[kPolicy].size(), policy);
   const bool fixed = policy == SCHED_FIFO || policy == SCHED_RR;
   return {
       fmt::format("{} (pid {}, {}{})", for_terminal(text.substr(from + 1, to - from - 1), false),
                   process, policy_name(policy), fixed ? " " + of[kPriority] : ""),
-      fixed || policy == kDeadline};
+      fixed || policy == kDeadline, times->ran_ns};
 }
 
 template <class Visit>
@@ -82,21 +90,35 @@ void each_number(const std::string& folder, Visit visit) {
 
 }  // namespace
 
-Runners runners_on(int core, const std::vector<pid_t>& known, const std::string& proc) {
-  Runners found;
+CoreWatch::Seen CoreWatch::look(std::int64_t now_ns, const std::vector<pid_t>& known) {
+  const std::int64_t least_ns = std::min((now_ns - looked_ns_) / kPartOfLook, kTakesNs);
+  std::map<pid_t, std::int64_t> ran_ns;
+  std::vector<Thread> found;
   int left = kMostThreads;
-  each_number(proc, [&](pid_t process) {
+  each_number(proc_, [&](pid_t process) {
     if (std::ranges::find(known, process) != known.end()) return;
-    const std::string tasks = fmt::format("{}/{}/task", proc, process);
+    const std::string tasks = fmt::format("{}/{}/task", proc_, process);
     each_number(tasks, [&](pid_t thread) {
       if (left-- <= 0) return;
-      Runner one = runner(fmt::format("{}/{}/stat", tasks, thread), process, core);
-      if (one.name.empty() || (found.realtime && !one.realtime)) return;
-      if (one.realtime && !found.realtime) found = {{}, true};
-      if (found.names.size() < kMostNames) found.names.push_back(std::move(one.name));
+      Thread one = thread_of(fmt::format("{}/{}", tasks, thread), process, core_);
+      if (one.name.empty()) return;
+      ran_ns[thread] = one.ran_ns;
+      const auto before = ran_ns_.find(thread);
+      if (before != ran_ns_.end()) one.ran_ns -= before->second;
+      if (one.ran_ns >= least_ns) found.push_back(std::move(one));
     });
   });
-  return found;
+  Seen seen;
+  if (has_looked()) {
+    seen.realtime = std::ranges::any_of(found, &Thread::realtime);
+    if (seen.realtime) std::erase_if(found, [](const Thread& one) { return !one.realtime; });
+    std::ranges::stable_sort(found, std::greater(), &Thread::ran_ns);
+    for (Thread& one : found)
+      if (seen.names.size() < kMostNames) seen.names.push_back(std::move(one.name));
+  }
+  ran_ns_ = std::move(ran_ns);
+  looked_ns_ = now_ns;
+  return seen;
 }
 
 ForeignWatch::ForeignWatch(const Session& session, Board& board, bool leads, Ask ask)
@@ -106,10 +128,12 @@ ForeignWatch::ForeignWatch(const Session& session, Board& board, bool leads, Ask
       xpus_(real_xpus_of(session)),
       seen_(xpus_.size(), 0),
       looks_(xpus_.size(), 0),
-      ask_(std::move(ask)) {}
+      ask_(std::move(ask)) {
+  for (const RealXpu& xpu : xpus_) cores_.emplace_back(xpu.core);
+}
 
 void ForeignWatch::look(std::int64_t now_ns) {
-  look_for_runners();
+  look_for_runners(now_ns);
   if (!leads_ || now_ns - looked_ns_ < kRunsNs) return;
   looked_ns_ = now_ns;
   look_for_runs();
@@ -123,18 +147,29 @@ void ForeignWatch::look_for_runs() {
         board_.xpu(x).tell_shared(holder.words());
 }
 
-/// Nobody knows who had the core then. Whoever is there now was probably there before.
-void ForeignWatch::look_for_runners() {
+/// Nobody knows who had the core when a job waited for it: whoever has it between this look and the next probably had it
+/// then.
+CoreWatch::Seen ForeignWatch::who_ran(std::size_t xpu, std::uint64_t waited,
+                                      const std::vector<pid_t>& known, std::int64_t now_ns) {
+  CoreWatch& core = cores_[xpu];
+  CoreWatch::Seen there = core.look(now_ns, known);
+  if (waited == seen_[xpu]) core.forget();
+  seen_[xpu] = waited;
+  return there;
+}
+
+void ForeignWatch::look_for_runners(std::int64_t now_ns) {
   for (std::size_t x = 0; x < xpus_.size() && x < board_.shape().xpus; ++x) {
     XpuLine& line = board_.xpu(x);
     if (xpus_[x].shared) {
-      look_for_strangers(x);
+      look_for_strangers(x, now_ns);
       continue;
     }
     const std::uint64_t crowded = line.crowded.load();
-    if (crowded == seen_[x] || line.crowd_told.load() != 0 || xpus_[x].core < 0) continue;
-    seen_[x] = crowded;
-    const Runners there = runners_on(xpus_[x].core, {getpid()});
+    if (line.crowd_told.load() != 0 || xpus_[x].core < 0 ||
+        (crowded == seen_[x] && !cores_[x].has_looked()))
+      continue;
+    const CoreWatch::Seen there = who_ran(x, crowded, {getpid()}, now_ns);
     if (!there.names.empty() && (there.realtime || ++looks_[x] >= kLooksForRealtime))
       line.tell_crowd(fmt::format("{}", fmt::join(there.names, ", ")));
   }
@@ -166,21 +201,19 @@ void ForeignWatch::look_for_foreign_work() {
 
 /// Where others are admitted. The service says who these are; of strangers only real-time threads are named, for nobody
 /// else takes a core from jobs that have such a priority.
-void ForeignWatch::look_for_strangers(std::size_t xpu) {
+void ForeignWatch::look_for_strangers(std::size_t xpu, std::int64_t now_ns) {
   XpuLine& line = board_.xpu(xpu);
-  const bool first = asked_ns_ == 0;
+  const bool first = asked_ns_ == 0, again = cores_[xpu].has_looked();
   const std::uint64_t suspected = line.suspected.load();
-  const std::int64_t now = now_ns();
   if (xpus_[xpu].core < 0 || !ask_ || line.crowd_told.load() != 0 ||
-      (!first && (suspected == seen_[xpu] || now - asked_ns_ < kRunsNs)))
+      (!first && !again && (suspected == seen_[xpu] || now_ns - asked_ns_ < kRunsNs)))
     return;
-  asked_ns_ = now;
+  asked_ns_ = now_ns;
   const std::vector<pid_t> joined = neighbours().processes;
   // As this process calls itself: else it runs in a container, and the numbers are others'.
   blind_ = std::ranges::find(joined, getpid()) == joined.end();
-  if (blind_ || suspected == seen_[xpu]) return;
-  seen_[xpu] = suspected;
-  const Runners there = runners_on(xpus_[xpu].core, joined);
+  if (blind_ || (suspected == seen_[xpu] && !again)) return;
+  const CoreWatch::Seen there = who_ran(xpu, suspected, joined, now_ns);
   if (!there.realtime) return;
   line.crowd(line.suspected_ns.load(), false);
   line.tell_crowd(fmt::format("{}", fmt::join(there.names, ", ")));

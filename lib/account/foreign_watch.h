@@ -17,14 +17,33 @@
 
 namespace xauto::runtime {
 
-/// Threads that the kernel ran last on a core and that can run now.
-struct Runners {
-  std::vector<std::string> names;  ///< "stress (pid 77, SCHED_FIFO 99)", at most three
-  bool realtime = false;  ///< they are all of a real-time policy: those of others are left out then
+/// Who runs on a core: of the threads that the kernel ran last there, those that have run in between two looks. What is
+/// ready just when somebody looks proves less, and says nothing of one that lets a watcher run only while it sleeps.
+class CoreWatch {
+ public:
+  struct Seen {
+    std::vector<std::string>
+        names;  ///< "stress (pid 77, SCHED_FIFO 99)", most time first, at most three
+    bool realtime =
+        false;  ///< they are all of a real-time policy: those of others are left out then
+  };
+  /// `proc`: where proc(5) is.
+  explicit CoreWatch(int core, std::string proc = "/proc") : core_(core), proc_(std::move(proc)) {}
+  /// Since the look before, but for threads of the processes `known`; at the first look nobody.
+  [[nodiscard]] Seen look(std::int64_t now_ns, const std::vector<pid_t>& known);
+  void forget() {
+    ran_ns_.clear();
+    looked_ns_ = 0;
+  }
+  [[nodiscard]] bool has_looked() const { return looked_ns_ != 0; }
+  [[nodiscard]] int core() const { return core_; }
+
+ private:
+  int core_;
+  std::string proc_;
+  std::map<pid_t, std::int64_t> ran_ns_;  ///< [thread] so far, at the last look
+  std::int64_t looked_ns_ = 0;            ///< 0: nobody has
 };
-/// But for threads of these processes. `proc`: where proc(5) is.
-[[nodiscard]] Runners runners_on(int core, const std::vector<pid_t>& known,
-                                 const std::string& proc = "/proc");
 
 /// Threads: one at a time.
 class ForeignWatch {
@@ -45,8 +64,11 @@ class ForeignWatch {
 
  private:
   void look_for_runs();
-  void look_for_runners();
-  void look_for_strangers(std::size_t xpu);
+  void look_for_runners(std::int64_t now_ns);
+  void look_for_strangers(std::size_t xpu, std::int64_t now_ns);
+  /// Who ran there since the last look, where jobs have waited since then or `seen_` is the look after that.
+  [[nodiscard]] CoreWatch::Seen who_ran(std::size_t xpu, std::uint64_t waited,
+                                        const std::vector<pid_t>& known, std::int64_t now_ns);
   void look_for_foreign_work();
   [[nodiscard]] Neighbours neighbours();
 
@@ -54,6 +76,7 @@ class ForeignWatch {
   const bool leads_;
   std::string own_;                  ///< how addresses of this run begin
   std::vector<RealXpu> xpus_;        ///< [XPU]
+  std::vector<CoreWatch> cores_;     ///< [XPU]
   std::vector<std::uint64_t> seen_;  ///< [XPU] jobs that had to wait, at the last look
   std::vector<int> looks_;           ///< [XPU] how often somebody was looked for
   std::int64_t looked_ns_ = 0, asked_ns_ = 0;

@@ -5,6 +5,7 @@
 #include <fstream>
 
 #include <gtest/gtest.h>
+#include <sched.h>
 #include <unistd.h>
 
 #include "base/socket.h"
@@ -13,7 +14,7 @@
 namespace xauto::runtime {
 namespace {
 
-/// A /proc with threads of that name, state, last core and policy (proc(5), fields 2, 3, 39 to 41).
+/// A /proc with threads of that name, last core, policy (proc(5), fields 2, 39 to 41) and time on a core.
 class Proc {
  public:
   Proc()
@@ -22,14 +23,16 @@ class Proc {
   ~Proc() { std::filesystem::remove_all(folder_); }
   Proc(const Proc&) = delete;
   Proc& operator=(const Proc&) = delete;
-  void add(int process, int thread, const std::string& name, char state, int core, int priority,
-           int policy) {
+  /// Once more: it has run on.
+  void add(int process, int thread, const std::string& name, int core, int priority, int policy,
+           double ran_ms) {
     const auto task = folder_ / std::to_string(process) / "task" / std::to_string(thread);
     std::filesystem::create_directories(task);
     std::ofstream file(task / "stat");
-    file << thread << " (" << name << ") " << state;
+    file << thread << " (" << name << ") S";
     for (int field = 4; field < 39; ++field) file << " 0";
     file << " " << core << " " << priority << " " << policy << " 0 0 0\n";
+    std::ofstream(task / "schedstat") << static_cast<std::int64_t>(ran_ms * 1e6) << " 0 7\n";
   }
   [[nodiscard]] std::string path() const { return folder_.string(); }
 
@@ -39,29 +42,57 @@ class Proc {
 
 using Names = std::vector<std::string>;
 
-TEST(ForeignWatch, NamesWhoCanRunOnTheCore) {
+/// None of them is ready when somebody looks: what counts is who has run in between.
+TEST(CoreWatch, NamesWhoRanOnTheCoreSinceTheLastLook) {
   Proc proc;
-  proc.add(10, 10, "sleeper", 'S', 3, 0, 0);
-  proc.add(11, 11, "elsewhere", 'R', 2, 0, 0);
-  proc.add(12, 13, "a) R 3 (b", 'R', 3, 0, 0);  // a name may be anything
-  proc.add(14, 14, "ours", 'R', 3, 50, 1);
-  EXPECT_EQ(runners_on(3, {14}, proc.path()).names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
-  EXPECT_FALSE(runners_on(3, {14}, proc.path()).realtime);
-  proc.add(15, 15, "hog", 'R', 3, 99, 1);
-  const Runners there = runners_on(3, {14}, proc.path());
-  EXPECT_EQ(
-      there.names,
-      (Names{"hog (pid 15, SCHED_FIFO 99)"}));  // nobody else takes a core from real-time threads
-  EXPECT_TRUE(there.realtime);
-  EXPECT_TRUE(runners_on(7, {14}, proc.path()).names.empty());
-  EXPECT_TRUE(runners_on(3, {14}, proc.path() + "/none").names.empty());
-  EXPECT_EQ(runners_on(3, {14, 15}, proc.path()).names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
+  CoreWatch watch(3, proc.path());
+  proc.add(10, 10, "sleeper", 3, 0, 0, 500);
+  proc.add(11, 11, "elsewhere", 2, 0, 0, 500);
+  proc.add(12, 13, "a) R 3 (b", 3, 0, 0, 500);  // a name may be anything
+  proc.add(14, 14, "ours", 3, 50, SCHED_FIFO, 500);
+  EXPECT_TRUE(watch.look(1'000'000'000, {14}).names.empty()) << "nobody knows since when";
+  proc.add(11, 11, "elsewhere", 2, 0, 0, 600);
+  proc.add(12, 13, "a) R 3 (b", 3, 0, 0, 540);
+  proc.add(14, 14, "ours", 3, 50, SCHED_FIFO, 550);
+  proc.add(16, 16, "new", 3, 0, 0, 60);
+  const CoreWatch::Seen there = watch.look(1'100'000'000, {14});
+  EXPECT_EQ(there.names, (Names{"new (pid 16, SCHED_OTHER)", "a) R 3 (b (pid 12, SCHED_OTHER)"}));
+  EXPECT_FALSE(there.realtime);
+  EXPECT_TRUE(watch.look(1'200'000'000, {14}).names.empty()) << "nobody has run since";
+  watch.forget();
+  EXPECT_TRUE(watch.look(1'300'000'000, {14}).names.empty());
 }
 
-TEST(ForeignWatch, NamesAreShownSafely) {
+/// Nobody else takes a core from real-time threads; the kernel's own (migration/0) run for microseconds.
+TEST(CoreWatch, NamesRealtimeThreadsAlone) {
   Proc proc;
-  proc.add(1, 1, "\x1b[2J", 'R', 0, 0, 0);
-  EXPECT_EQ(runners_on(0, {0}, proc.path()).names, (Names{"\\x1b[2J (pid 1, SCHED_OTHER)"}));
+  CoreWatch watch(3, proc.path());
+  const auto run = [&](double hog_ms) {
+    proc.add(12, 12, "ordinary", 3, 0, 0, 10 * hog_ms);
+    proc.add(15, 15, "hog", 3, 98, SCHED_FIFO, hog_ms);
+    proc.add(20, 20, "migration/3", 3, 99, SCHED_FIFO, hog_ms / 1000);
+  };
+  run(10);
+  (void)watch.look(1'000'000'000, {});
+  run(15);
+  const CoreWatch::Seen there = watch.look(1'100'000'000, {});
+  EXPECT_EQ(there.names, (Names{"hog (pid 15, SCHED_FIFO 98)"}));
+  EXPECT_TRUE(there.realtime);
+  run(20);
+  EXPECT_EQ(watch.look(1'200'000'000, {15}).names, (Names{"ordinary (pid 12, SCHED_OTHER)"}));
+}
+
+TEST(CoreWatch, NamesAreShownSafelyAndAreFew) {
+  Proc proc;
+  CoreWatch watch(0, proc.path()), none(0, proc.path() + "/none");
+  (void)watch.look(1, {});
+  (void)none.look(1, {});
+  proc.add(1, 1, "\x1b[2J", 0, 0, 0, 9);
+  for (int other = 2; other < 6; ++other) proc.add(other, other, "x", 0, 0, 0, other);
+  EXPECT_TRUE(none.look(2, {}).names.empty());
+  const Names names = watch.look(1'000'000'000, {}).names;
+  ASSERT_EQ(names.size(), 3u);
+  EXPECT_EQ(names[0], "\\x1b[2J (pid 1, SCHED_OTHER)");
 }
 
 TEST(ForeignWatch, AnotherRunIsSeenByItsMark) {
