@@ -9,7 +9,7 @@
 /* An XNode thread of the queue that has waited for age_ms gets a turn: true if there is one. */
 __noinline int dispatch_aged(s32 cpu)
 {
-	u64 oldest = bpf_ktime_get_ns() - age_ms * 1000 * NS_PER_US;
+	u64 now = bpf_ktime_get_ns(), age = age_ms * NS_PER_MS;
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
 	bool moved = false;
@@ -20,7 +20,7 @@ __noinline int dispatch_aged(s32 cpu)
 		struct xnode_thread t = {};
 
 		/* Who has no slot was lent a key, or has left: the floor is for such a one. */
-		if (thread_of(p, &t) && (!t.job->queued_ns || t.job->queued_ns > oldest))
+		if (thread_of(p, &t) && (!t.job->queued_ns || (s64)(now - t.job->queued_ns) < (s64)age))
 			continue;
 		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
 		if (moved)
