@@ -28,8 +28,9 @@ constexpr std::int64_t kRunsNs = 1'000'000'000, kSilentNs = 60'000'000'000;
 constexpr std::size_t kMostNames = 3;
 /// Of a fork bomb not all are looked at.
 constexpr int kMostThreads = 8192;
-/// Who takes a core from real-time threads is one itself. The kernel's own run for microseconds now and then.
+/// Who takes a core from real-time threads is one itself.
 constexpr int kLooksForRealtime = 10;
+/// Who has less of the time between two looks takes no core: the kernel's own threads run for microseconds.
 constexpr std::int64_t kTakesNs = 1'000'000, kPartOfLook = 100;
 constexpr int kDeadline = 6, kExt = 7;  // linux/sched.h
 
@@ -104,18 +105,17 @@ CoreWatch::Seen CoreWatch::look(std::int64_t now_ns, const std::vector<pid_t>& k
       if (one.name.empty()) return;
       ran_ns[thread] = one.ran_ns;
       const auto before = ran_ns_.find(thread);
-      if (before != ran_ns_.end()) one.ran_ns -= before->second;
+      if (before == ran_ns_.end()) return;
+      one.ran_ns -= before->second;
       if (one.ran_ns >= least_ns) found.push_back(std::move(one));
     });
   });
   Seen seen;
-  if (has_looked()) {
-    seen.realtime = std::ranges::any_of(found, &Thread::realtime);
-    if (seen.realtime) std::erase_if(found, [](const Thread& one) { return !one.realtime; });
-    std::ranges::stable_sort(found, std::greater(), &Thread::ran_ns);
-    for (Thread& one : found)
-      if (seen.names.size() < kMostNames) seen.names.push_back(std::move(one.name));
-  }
+  seen.realtime = std::ranges::any_of(found, &Thread::realtime);
+  if (seen.realtime) std::erase_if(found, [](const Thread& one) { return !one.realtime; });
+  std::ranges::stable_sort(found, std::greater(), &Thread::ran_ns);
+  for (Thread& one : found)
+    if (seen.names.size() < kMostNames) seen.names.push_back(std::move(one.name));
   ran_ns_ = std::move(ran_ns);
   looked_ns_ = now_ns;
   return seen;
@@ -149,15 +149,6 @@ void ForeignWatch::look_for_runs() {
 
 /// Nobody knows who had the core when a job waited for it: whoever has it between this look and the next probably had it
 /// then.
-CoreWatch::Seen ForeignWatch::who_ran(std::size_t xpu, std::uint64_t waited,
-                                      const std::vector<pid_t>& known, std::int64_t now_ns) {
-  CoreWatch& core = cores_[xpu];
-  CoreWatch::Seen there = core.look(now_ns, known);
-  if (waited == seen_[xpu]) core.forget();
-  seen_[xpu] = waited;
-  return there;
-}
-
 void ForeignWatch::look_for_runners(std::int64_t now_ns) {
   for (std::size_t x = 0; x < xpus_.size() && x < board_.shape().xpus; ++x) {
     XpuLine& line = board_.xpu(x);
@@ -169,7 +160,9 @@ void ForeignWatch::look_for_runners(std::int64_t now_ns) {
     if (line.crowd_told.load() != 0 || xpus_[x].core < 0 ||
         (crowded == seen_[x] && !cores_[x].has_looked()))
       continue;
-    const CoreWatch::Seen there = who_ran(x, crowded, {getpid()}, now_ns);
+    const CoreWatch::Seen there = cores_[x].look(now_ns, {getpid()});
+    if (crowded == seen_[x]) cores_[x].forget();
+    seen_[x] = crowded;
     if (!there.names.empty() && (there.realtime || ++looks_[x] >= kLooksForRealtime))
       line.tell_crowd(fmt::format("{}", fmt::join(there.names, ", ")));
   }
@@ -213,7 +206,9 @@ void ForeignWatch::look_for_strangers(std::size_t xpu, std::int64_t now_ns) {
   // As this process calls itself: else it runs in a container, and the numbers are others'.
   blind_ = std::ranges::find(joined, getpid()) == joined.end();
   if (blind_ || (suspected == seen_[xpu] && !again)) return;
-  const CoreWatch::Seen there = who_ran(xpu, suspected, joined, now_ns);
+  const CoreWatch::Seen there = cores_[xpu].look(now_ns, joined);
+  if (again) cores_[xpu].forget();  // the service is not asked all the time
+  seen_[xpu] = suspected;
   if (!there.realtime) return;
   line.crowd(line.suspected_ns.load(), false);
   line.tell_crowd(fmt::format("{}", fmt::join(there.names, ", ")));

@@ -29,14 +29,14 @@ class CoreWatch {
   };
   /// `proc`: where proc(5) is.
   explicit CoreWatch(int core, std::string proc = "/proc") : core_(core), proc_(std::move(proc)) {}
-  /// Since the look before, but for threads of the processes `known`; at the first look nobody.
+  /// Since the look before, but for threads of the processes `known`; at the first look nobody. Who was not there at
+  /// the look before may have run elsewhere until now, and counts from this one on.
   [[nodiscard]] Seen look(std::int64_t now_ns, const std::vector<pid_t>& known);
   void forget() {
     ran_ns_.clear();
     looked_ns_ = 0;
   }
   [[nodiscard]] bool has_looked() const { return looked_ns_ != 0; }
-  [[nodiscard]] int core() const { return core_; }
 
  private:
   int core_;
@@ -66,9 +66,6 @@ class ForeignWatch {
   void look_for_runs();
   void look_for_runners(std::int64_t now_ns);
   void look_for_strangers(std::size_t xpu, std::int64_t now_ns);
-  /// Who ran there since the last look, where jobs have waited since then or `seen_` is the look after that.
-  [[nodiscard]] CoreWatch::Seen who_ran(std::size_t xpu, std::uint64_t waited,
-                                        const std::vector<pid_t>& known, std::int64_t now_ns);
   void look_for_foreign_work();
   [[nodiscard]] Neighbours neighbours();
 

@@ -56,11 +56,27 @@ TEST(CoreWatch, NamesWhoRanOnTheCoreSinceTheLastLook) {
   proc.add(14, 14, "ours", 3, 50, SCHED_FIFO, 550);
   proc.add(16, 16, "new", 3, 0, 0, 60);
   const CoreWatch::Seen there = watch.look(1'100'000'000, {14});
-  EXPECT_EQ(there.names, (Names{"new (pid 16, SCHED_OTHER)", "a) R 3 (b (pid 12, SCHED_OTHER)"}));
+  EXPECT_EQ(there.names, (Names{"a) R 3 (b (pid 12, SCHED_OTHER)"}));
   EXPECT_FALSE(there.realtime);
-  EXPECT_TRUE(watch.look(1'200'000'000, {14}).names.empty()) << "nobody has run since";
+  proc.add(16, 16, "new", 3, 0, 0, 90);
+  proc.add(12, 13, "a) R 3 (b", 3, 0, 0, 550);
+  EXPECT_EQ(watch.look(1'200'000'000, {14}).names,
+            (Names{"new (pid 16, SCHED_OTHER)", "a) R 3 (b (pid 12, SCHED_OTHER)"}));
+  EXPECT_TRUE(watch.look(1'300'000'000, {14}).names.empty()) << "nobody has run since";
   watch.forget();
-  EXPECT_TRUE(watch.look(1'300'000'000, {14}).names.empty());
+  EXPECT_TRUE(watch.look(1'400'000'000, {14}).names.empty());
+}
+
+/// A thread that is pinned nowhere may have run for hours, and only its last microseconds here.
+TEST(CoreWatch, WhoHasRunElsewhereIsNotNamed) {
+  Proc proc;
+  CoreWatch watch(3, proc.path());
+  proc.add(10, 10, "visitor", 2, 80, SCHED_FIFO, 3'600'000);
+  proc.add(11, 11, "hog", 3, 98, SCHED_FIFO, 10);
+  (void)watch.look(1'000'000'000, {});
+  proc.add(10, 10, "visitor", 3, 80, SCHED_FIFO, 3'600'050);
+  proc.add(11, 11, "hog", 3, 98, SCHED_FIFO, 60);
+  EXPECT_EQ(watch.look(1'100'000'000, {}).names, (Names{"hog (pid 11, SCHED_FIFO 98)"}));
 }
 
 /// Nobody else takes a core from real-time threads; the kernel's own (migration/0) run for microseconds.
@@ -85,10 +101,14 @@ TEST(CoreWatch, NamesRealtimeThreadsAlone) {
 TEST(CoreWatch, NamesAreShownSafelyAndAreFew) {
   Proc proc;
   CoreWatch watch(0, proc.path()), none(0, proc.path() + "/none");
+  const auto run = [&](double ms) {
+    proc.add(1, 1, "\x1b[2J", 0, 0, 0, 9 * ms);
+    for (int other = 2; other < 6; ++other) proc.add(other, other, "x", 0, 0, 0, other * ms);
+  };
+  run(1);
   (void)watch.look(1, {});
   (void)none.look(1, {});
-  proc.add(1, 1, "\x1b[2J", 0, 0, 0, 9);
-  for (int other = 2; other < 6; ++other) proc.add(other, other, "x", 0, 0, 0, other);
+  run(2);
   EXPECT_TRUE(none.look(2, {}).names.empty());
   const Names names = watch.look(1'000'000'000, {}).names;
   ASSERT_EQ(names.size(), 3u);
