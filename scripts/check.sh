@@ -158,7 +158,8 @@ kernel_and_sanitizers() {
   tsan_build && beside_the_vms tsan_tests
   asan_build && { beside_the_vms fuzzers; beside_the_vms asan_tests; }
   beside_the_vms heavy
-  note "the rest of the VMs"
+  note "the rest of the VMs, two at a time"
+  XAUTO_HELP=1 counted "the rest of the kernel side" scripts/kernel-check.sh build
   joined
 }
 # For the inner loop: every unit test in the release build, but for the heavy ones.

@@ -29,7 +29,7 @@ int main(int argc, char** argv) {
   const auto frame = [](std::uint64_t number) { return Frame{number}; };
   app.add_source(front, 30_hz, frame).add_source(rear, 30_hz, frame);
   app.add_source(lidar, 10_hz, frame).add_source(tick, 50_hz, frame);
-  app.clock(lidar, "lidar");
+  app.clock(lidar, "lidar", 5000);  // its motor: 3 rpm of 600 (docs/clocks.md)
   app.deadline(front, steering, 100ms).deadline(rear, steering, 100ms);
   app.deadline(lidar, steering, 150ms).deadline(tick, steering, 10ms);
 

@@ -293,6 +293,7 @@ struct Releaser::Periodic {
     const Grid::Source* grid;
     std::uint64_t sequence = 0;
     std::int64_t due_ns = 0;  ///< of its next release, after `start`; kForeverNs: not known yet
+    ClockStart clock = {};
   };
   std::vector<Source> sources = {};
   std::int64_t start = 0;      ///< of the grid
@@ -326,11 +327,43 @@ Releaser::Periodic Releaser::begin_periodic() {
   run.start = part_ ? part_->start_ns : now_ns() + 20'000'000;
   if (part_)
     for (Periodic::Source& s : run.sources) s.sequence = part_->first(*s.grid, s.grid->shift_ns);
-  if (EarlyStart* early = wiring_.early_start())
-    for (const Periodic::Source& s : run.sources)
-      if (phases_[s.grid->clock] == nullptr) early->due(s.grid->number, run.start);
   run.length_ns = counts_pushes ? kForeverNs : run_length_ns(slowest_ns);
   return run;
+}
+
+/// To who starts early. Of a clock that is off the next release is not known to the nanosecond.
+void Releaser::tell_first_releases(const Periodic& run) {
+  EarlyStart* early = wiring_.early_start();
+  if (early == nullptr) return;
+  for (const Periodic::Source& s : run.sources) {
+    if (phases_[s.grid->clock] != nullptr) continue;
+    if (s.clock.ppm == 0 && s.clock.phase_ns == 0)
+      early->due(s.grid->number, run.start);
+    else
+      early->released(s.grid->number, 0, run.start + s.clock.due_ns(s.grid->due_ns(0)));
+  }
+}
+
+/// `--phases`. Who is pushed or fed has a phase of its own.
+Status Releaser::set_clocks_apart(Periodic& run) {
+  if (!context_.session.releases.phases) return {};
+  const std::vector<ClockStart> starts =
+      clocks_apart(context_.grid, context_.session.releases.seed);
+  std::set<std::size_t> told;
+  for (Periodic::Source& s : run.sources) {
+    const std::size_t c = s.grid->clock;
+    if (c == 0 || phases_[c] != nullptr) continue;
+    s.clock = starts[c];
+    if (!told.insert(c).second) continue;
+    notes_.push_back(fmt::format("clock '{}' began {:.3f} ms after the run, {} ppm {} (--phases)",
+                                 context_.session.app.clocks[c].name,
+                                 static_cast<double>(s.clock.phase_ns) / 1e6, std::abs(s.clock.ppm),
+                                 s.clock.ppm < 0 ? "fast" : "slow"));
+  }
+  if (!told.empty()) return {};
+  return fail(ErrorCode::kInvalid,
+              "has nothing to do: all clocks but the first are those of what is pushed or fed",
+              "--phases", "leave it out: such sources have the phases that they come with");
 }
 
 /// When the next release is. True: it may be sooner, with the first message of a clock.
@@ -340,7 +373,7 @@ bool Releaser::find_next(Periodic& run) const {
   for (Periodic::Source& s : run.sources) {
     const auto& phase = phases_[s.grid->clock];
     if (phase == nullptr)
-      s.due_ns = s.grid->due_ns(s.sequence);
+      s.due_ns = s.clock.due_ns(s.grid->due_ns(s.sequence));
     else
       s.due_ns = phase->base_ns() ? *phase->base_ns() - run.start + s.grid->due_ns(s.sequence)
                                   : kForeverNs;
@@ -414,6 +447,8 @@ Status Releaser::check_part() const {
 Status Releaser::release_periodic() {
   XAUTO_TRY(check_part());
   Periodic run = begin_periodic();
+  XAUTO_TRY(set_clocks_apart(run));
+  tell_first_releases(run);
   end_ns_ = run.length_ns;
   while (!stop_.load()) {
     const bool waits = find_next(run);

@@ -17,6 +17,7 @@
 #include "graph/inlet.h"
 #include "grid/context.h"
 #include "grid/phase.h"
+#include "releases/clock_starts.h"
 #include "releases/feeds.h"
 #include "releases/run_recorder.h"
 #include "releases/source_account.h"
@@ -76,6 +77,8 @@ class Releaser {
   [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
   [[nodiscard]] Periodic begin_periodic();
+  [[nodiscard]] Status set_clocks_apart(Periodic& run);
+  void tell_first_releases(const Periodic& run);
   [[nodiscard]] bool find_next(Periodic& run) const;
   [[nodiscard]] Result<bool> take_turn(Periodic& run, std::int64_t& due_ns);
   [[nodiscard]] Status make_messages(Periodic& run, std::int64_t due_ns);

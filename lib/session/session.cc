@@ -134,9 +134,10 @@ void fields(Io io, T& x) {
 
 template <class Io, Is<ReleaseRequest> T>
 void fields(Io io, T& x) {
-  io("activations", x.activations, "duration_us", x.duration_us, "lockstep", x.lockstep,
-     "period_us", x.period_us, "input", x.input, "input_rate", x.input_rate, "input_max_gap_us",
-     x.input_max_gap_us, "record", x.record, "record_outputs", x.record_outputs);
+  io("activations", x.activations, "duration_us", x.duration_us, "lockstep", x.lockstep, "phases",
+     x.phases, "seed", x.seed, "period_us", x.period_us, "input", x.input, "input_rate",
+     x.input_rate, "input_max_gap_us", x.input_max_gap_us, "record", x.record, "record_outputs",
+     x.record_outputs);
 }
 
 template <class Io, Is<CpuPlan> T>

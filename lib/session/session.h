@@ -65,8 +65,10 @@ struct ReleaseRequest {
   /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
   /// stop, or the input's end.
   std::uint64_t activations = 0;
-  std::int64_t duration_us = 0;       ///< release for so long instead; 0: count
-  bool lockstep = false;              ///< the next release comes when the last one has drained
+  std::int64_t duration_us = 0;  ///< release for so long instead; 0: count
+  bool lockstep = false;         ///< the next release comes when the last one has drained
+  bool phases = false;     ///< clocks begin apart, as far off as stated (releases/clock_starts.h)
+  std::uint64_t seed = 1;  ///< of `phases`
   std::int64_t period_us = 0;         ///< instead of the sources' own; 0: theirs
   std::string input;                  ///< recorded input; empty: the sources' own messages
   double input_rate = 1;              ///< replayed so much faster than it was recorded

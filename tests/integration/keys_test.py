@@ -2,10 +2,12 @@
 """A run by keys: what ran, in its trace, is compared with policy.json. The keys are computed here, out of the files; the
 trace is read by pftrace.py. Neither shares code with the tools."""
 import collections
+import functools
 import json
 import math
 import os
 import pathlib
+import re
 import tempfile
 import unittest
 from fractions import Fraction
@@ -49,6 +51,7 @@ class Keys(unittest.TestCase):
         self.assertEqual(done.returncode, status, done.stderr)
         return done
 
+    @functools.cached_property
     def components(self):
         """XNode -> (period in us, offset in us) of its component."""
         near = collections.defaultdict(set)
@@ -71,6 +74,12 @@ class Keys(unittest.TestCase):
             of.update({x: (period, offset) for x in members})
         return of
 
+    def nominal(self, xnode, n):
+        """ns after the run's start. The lidar's clock may begin later, and run faster or slower: (ms, ppm)."""
+        period, offset = self.components[xnode]
+        ms, ppm = self.lidar if self.clock_of(xnode) == "lidar" else (0, 0)
+        return math.floor((offset + n * period) * (1_000_000 + ppm) / 1000) + round(ms * 1e6)
+
     def mixed_policy(self):
         """Three XNodes that are always released together, on one core; on every third activation two of them change places.
         No order of priorities does that. Nothing is proven of it."""
@@ -90,11 +99,12 @@ class Keys(unittest.TestCase):
         """XPU -> (began, ready, key, XNode, activation) of each job, out of a run's trace."""
         done = self.run_app("--trace-out", self.folder / "t.pftrace", *flags, app=app)
         report = json.loads(done.stdout)["runs"][0]
+        self.lidar = self.lidar_of(report)
         self.assertEqual([m["dropped"] + m["failed"] for m in report["modules"]], [0] * 9)
         trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())
-        start = min(s.begin for s in trace.slices if s.category == "release")
+        self.releases = [s for s in trace.slices if s.category == "release"]
+        start = min(s.begin for s in self.releases)
         placed = {x["name"]: x for x in policy["xnodes"]}
-        of = self.components()
         jobs, self.ended, early = collections.defaultdict(list), {}, []
         for s in trace.slices:
             if s.category != "run":
@@ -103,8 +113,7 @@ class Keys(unittest.TestCase):
             self.ended[name, n] = max(s.end, self.ended.get((name, n), 0))
             if s.args["part"] != 1:
                 continue
-            period, offset = of[name]
-            nominal = start + math.floor((offset + n * period) * 1000)
+            nominal = start + self.nominal(name, n)
             row = placed[name]
             self.assertEqual(s.track, "run/" + row["xpu"])
             key = nominal + row["key_us"][n % len(row["key_us"])] * 1000
@@ -116,18 +125,17 @@ class Keys(unittest.TestCase):
             jobs[s.track].append((s.begin, s.begin - waited_us * 1000, key, name, n))
         self.assertEqual(sum(map(len, jobs.values())), sum(m["activations"] * self.stages(m["name"]) for m in report["modules"]))
         for job in early:
-            self.assert_early(placed, of, start, *job)
+            self.assert_early(placed, start, *job)
         self.assertGreaterEqual(report["early_starts"]["jobs"], len(early))
         self.early = early
         return jobs
 
-    def assert_early(self, placed, of, start, name, n, key, held, began):
+    def assert_early(self, placed, start, name, n, key, held, began):
         """It began before its hold was over. So all that has a smaller key on its XPU had ended, where taking that from
         another costs something, and all that it reads by its plan. What is planned is no sooner than its hold."""
         def all_ended(x, counts):
-            period, offset = of[x]
             for k in range(10_000):
-                nominal = start + math.floor((offset + k * period) * 1000)
+                nominal = start + self.nominal(x, k)
                 if not counts(nominal, nominal + placed[x]["key_us"][k % len(placed[x]["key_us"])] * 1000):
                     return
                 self.assertLessEqual(self.ended.get((x, k), math.inf), began, f"{x} {k} had not ended when {name} {n} began early")
@@ -140,9 +148,13 @@ class Keys(unittest.TestCase):
                 one = (self.clock_of(u) == "lidar") == (self.clock_of(v) == "lidar")
                 all_ended(u, lambda nominal, its: its <= held if one else nominal < held)
 
+    def lidar_of(self, report):
+        told = re.findall(r"clock 'lidar' began ([0-9.]+) ms after the run, (\d+) ppm (slow|fast)", " ".join(report["notes"]))
+        return (float(told[0][0]), int(told[0][1]) * (1 if told[0][2] == "slow" else -1)) if told else (0, 0)
+
     def clock_of(self, xnode):
         """By its period: the lidar alone has a clock of its own."""
-        return "lidar" if self.components()[xnode][0] == 100_000 else "main"
+        return "lidar" if self.components[xnode][0] == 100_000 else "main"
 
     def inversions(self, jobs, key_of=lambda job: job[2]):
         """Pairs of jobs of which the second waited when the first began, and how many of them are the wrong way round."""
@@ -162,6 +174,34 @@ class Keys(unittest.TestCase):
             # A job is ready before its thread has asked for the XPU. Where the machine stands still in between, the pair looks
             # wrong; each stall makes a few. Without an order half of all would be.
             self.assertLess(wrong, max(8, pairs / 5), f"{wrong} of {pairs}")
+
+    def test_clocks_begin_at_other_phases_and_drift_as_far_as_they_may(self):
+        seen = set()
+        for seed in (1, 2, 4):
+            pairs, wrong = self.inversions(self.began(self.policy, "--duration", "2s", "--phases", "--seed", seed))
+            self.assertLess(wrong, max(8, pairs / 5), f"{wrong} of {pairs}")
+            ms, ppm = self.lidar
+            self.assertTrue(0 < ms < 100, ms)
+            self.assertEqual(abs(ppm), next(c["ppm"] for c in self.app["clocks"] if c["name"] == "lidar"))
+            start = min(s.begin for s in self.releases)
+            for source, first in (("front", "la.pre"), ("tick", "ctl.plan"), ("lidar", "ld.pre")):
+                at = [s.begin - start for s in self.releases if s.args["source"] == source]
+                self.assertGreater(len(at), 10)
+                for n, ns in enumerate(at):
+                    self.assertLessEqual(abs(ns - self.nominal(first, n)), 1)
+            seen.add(self.lidar)
+        self.assertEqual(len(seen), 3, "each seed has a phase of its own")
+        self.assertEqual({ppm > 0 for _, ppm in seen}, {True, False}, "slow and fast")
+
+    def test_phases_are_refused_where_there_are_none(self):
+        one = json.loads(json.dumps(self.app))
+        one.pop("clocks")
+        for source in one["sources"]:
+            source.pop("clock", None)
+        (self.folder / "one.json").write_text(json.dumps(one))
+        self.assertIn("has one clock", self.run_app("--phases", app=self.folder / "one.json", status=2).stderr)
+        self.assertIn("--lockstep", self.run_app("--phases", "--lockstep", status=2).stderr)
+        self.assertIn("--phases", self.run_app("--seed", 2, status=2).stderr)
 
     def test_what_goes_first_changes_with_the_activation(self):
         jobs = self.began(self.mixed_policy(), "--duration", "4s", "--policy", self.folder / "mixed.json")

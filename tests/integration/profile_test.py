@@ -59,7 +59,7 @@ class WhatTheProgramAsks(Case):
         asked = {c["name"]: c["deadline_us"] for c in app["chains"] if "deadline_us" in c}
         self.assertEqual(asked, {"front -> ctl.act": 100000, "rear -> ctl.act": 100000, "lidar -> ctl.act": 150000,
                                  "tick -> ctl.act": 10000})
-        self.assertEqual(app["clocks"], [{"name": "lidar", "ppm": 100}])
+        self.assertEqual(app["clocks"], [{"name": "lidar", "ppm": 5000}])
         self.assertEqual([s["name"] for s in app["sources"] if s.get("clock") == "lidar"], ["lidar"])
         self.assertEqual([s.get("rate_hz") for s in app["sources"][:2]], [30, 30])
         # What a person changes in the file stays, and is told.

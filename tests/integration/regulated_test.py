@@ -204,11 +204,12 @@ class Regulated(unittest.TestCase):
         steady, wild = self.run_app("steady", 40_000, 3_000), self.run_app("wild", 40_000, 4_500, every=2, times=10)
         time.sleep(4)
         seen = self.report(steady, "steady"), self.report(wild, "wild", (0, 1))  # it may lose what it has no time for
-        self.assertEqual(seen[0]["lost_activations"], 0)
+        said = json.dumps([(report["claims"], report["chains"]) for report in seen])
+        self.assertEqual(seen[0]["lost_activations"], 0, said)
         chain, late = (report["chains"][0] for report in seen)
-        self.assertGreater(chain["results"], 50)
-        self.assertLess(chain["latency_us"]["p50"], chain["worst_case_us"])
-        self.assertLess(5 * chain["longer_than_claimed"], chain["results"])
+        self.assertGreater(chain["results"], 50, said)
+        self.assertLess(chain["latency_us"]["p50"], chain["worst_case_us"], said)
+        self.assertLess(5 * chain["longer_than_claimed"], chain["results"], said)
         self.assertGreater(late["latency_us"]["p50"], 10 * late["worst_case_us"])
 
     def test_who_is_trusted_finds_room_whoever_is_there(self):

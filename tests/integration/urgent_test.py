@@ -123,9 +123,15 @@ class Urgent(unittest.TestCase):
         # Every second one is; a stall may have lost a message, and with it the count.
         self.assertGreaterEqual(sum(c["urgent"] for c in chains.values()), len(chains) // 3)
         self.assertGreaterEqual(sum(not c["urgent"] for c in chains.values()), len(chains) // 3)
-        for chain in chains.values():
+        told = 0
+        for number, chain in chains.items():
             job = next(j for j in chain["jobs"] if j["xnode"] == "camera.run")
-            self.assertEqual(job["key_us"] - job["released_us"], KEYS["camera.run"] - BY * chain["urgent"])
+            # Of a release that a stall has lost the result is that of a newer one, which may be urgent where it was not.
+            self.assertGreaterEqual(job["release"], number)
+            if of_job := chains.get(job["release"]):
+                self.assertEqual(job["key_us"] - job["released_us"], KEYS["camera.run"] - BY * of_job["urgent"])
+                told += 1
+        self.assertGreater(told, len(chains) // 2)
 
     def plan_marks(self, app, by):
         """look.run, due at 4 ms, says whether what it has seen is urgent: then camera.run, due at 18 ms, is due at 8."""

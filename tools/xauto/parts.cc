@@ -134,8 +134,8 @@ Status check_part(const RunFlags& flags, const PolicyRun& run) {
     return fail(ErrorCode::kInvalid,
                 "has nothing to do: the policy has no XNode on host '" + flags.part + "'", "--part",
                 fmt::format("run parts on {}", fmt::join(hosts, ", ")));
-  if (flags.lockstep || !flags.input.empty() || flags.period_us > 0)
-    return tl::unexpected(not_with_part("--lockstep, --input, --period",
+  if (flags.lockstep || flags.phases || !flags.input.empty() || flags.period_us > 0)
+    return tl::unexpected(not_with_part("--lockstep, --phases, --input, --period",
                                         "all parts release by the app's own periods"));
   if (flags.app.one_at_a_time)
     return tl::unexpected(

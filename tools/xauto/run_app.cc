@@ -77,6 +77,13 @@ void RunFlags::declare(Verb verb) {
                 "release period instead of the app's own");
   verb.option("--input", input, "recorded input to replay instead of the app's own messages");
   verb.flag("--lockstep", lockstep, "release the next message when the last one has drained");
+  verb.flag("--phases", phases,
+            "clocks begin at random phases, and are as far off as app.json says; otherwise all "
+            "begin at once")
+      .excludes("--period")
+      .excludes("--input")
+      .excludes("--lockstep");
+  verb.option("--seed", seed, "of --phases").needs("--phases").shown();
   verb.option("--rate", input_rate, "of --input: replay it so much faster than it was recorded")
       .range(0.001, 1000.0)
       .needs("--input")
@@ -135,6 +142,10 @@ Status RunFlags::prepare(const std::string& policy_path) {
   XAUTO_ASSIGN(app, load_app(app_path));
   XAUTO_ASSIGN(spec, load_platform_of(policy_path, platform));
   XAUTO_TRY(validate_on(app, spec));
+  if (phases && app.clocks.size() < 2)
+    return fail(
+        ErrorCode::kInvalid, "has nothing to do: app '" + app.name + "' has one clock", "--phases",
+        "give the sources that no common clock triggers a clock of their own (docs/clocks.md)");
   if (!part.empty()) XAUTO_TRY(put_first(spec, part));
   if (emulator_modules) {
     if (!kernel::module_is_loaded())
@@ -310,6 +321,8 @@ runtime::ReleaseRequest releases_of(const RunFlags& flags) {
   return {.activations = flags.activations,
           .duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6)),
           .lockstep = flags.lockstep,
+          .phases = flags.phases,
+          .seed = flags.seed,
           .period_us = flags.period_us,
           .input = flags.input,
           .input_rate = flags.input_rate,

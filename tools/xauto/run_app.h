@@ -43,11 +43,11 @@ class StopOnSignal {
 struct RunFlags {
   std::string app_path, platform, input, cpu_sched = "fifo", record_path;
   bool record_outputs = false;
-  std::uint64_t activations = 200;
+  std::uint64_t activations = 200, seed = 1;
   double seconds = 0;  ///< 0: `activations` counts
   double input_rate = 1, input_max_gap_s = 0;
   std::int64_t period_us = 0, cpu_budget_pct = 0;
-  bool lockstep = false, isolate = false, emulator_modules = false;
+  bool lockstep = false, phases = false, isolate = false, emulator_modules = false;
   EmulationOptions emulation;
   std::string script_path;  ///< emulation.json
   std::string system;       ///< socket of the machine's coordinators, or "off"; see join_machine

@@ -44,7 +44,7 @@ TEST(Driving, RatesJsonHasTheSameStagesAndAControlLoop) {
   // Cameras at 30 Hz and control at 50 Hz meet every 100 ms.
   EXPECT_EQ(*found.domains[0].hyperperiod_ticks, 100'000 * found.ticks_per_us);
   EXPECT_EQ(found.domains[0].jobs, 3 * 16 + 5 * 2);
-  EXPECT_EQ(app->clocks[1], (ClockSpec{"lidar", 100}));
+  EXPECT_EQ(app->clocks[1], (ClockSpec{"lidar", 5000}));
 }
 
 }  // namespace
