@@ -19,7 +19,7 @@ echo
 echo "demo: the same at the rates of its sensors: cameras 30 Hz, LiDAR 10 Hz on its own clock, control 50 Hz"
 # The LiDAR's motor is off by as much as it may be: in 20 s its phase goes through all of its period.
 "$build"/bin/xauto compare --app examples/driving/rates.json --platform small --duration "${SECONDS_RATES:-20}s" --phases \
-  --time-limit 3s --out "$build"/demo/rates -- "$build"/bin/driving-rates
+  --time-limit 5s --out "$build"/demo/rates -- "$build"/bin/driving-rates
 echo
 echo "demo: the GPU at half of its clock after a second: one policy, then a policy for each scenario (docs/modes.md)"
 tables=$build/demo/tables
