@@ -4,7 +4,8 @@
 
 Apps of several rates, of several clocks, and of both with activations in flight (bench_keys, from a seed of their own).
 Each is solved and run twice: under fixed priorities, and under keys. XNodes take random
-times, the same in both runs (xauto-standin). The certificate allows each XNode SLACK us more than what it draws, and each
+times, the same in both runs (xauto-standin), and where there are several clocks, each begins at a random phase, the same in
+both, and is as far off as it may be. The certificate allows each XNode SLACK us more than what it draws, and each
 source JITTER us: that is what dispatch and the emulator's timers take here, as a WCET that was measured here would hold
 it. Periods and times are those of the cases times SLOWER.
 
@@ -85,6 +86,8 @@ class App:
         at = os.path.basename if options.guest else str
         self.of = ["--app", at(self.path("run.json")), "--platform", at(self.path("platform.json"))]
         self.run_flags = ["--emulate", "--json", "--duration", f"{options.seconds}s"]
+        if any(clock["name"] != "main" for clock in made.get("clocks", [])):
+            self.run_flags += ["--phases", "--seed", number + 1]
         self.program = ["--", "xauto-standin", at(self.path("run.json")), "--seed", number + 1, "--slack", f"{options.slack_us}us"]
         self.commands = {
             "fixed": ["compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit", "1s", "--out",

@@ -133,6 +133,22 @@ class Urgent(unittest.TestCase):
                 told += 1
         self.assertGreater(told, len(chains) // 2)
 
+    def test_phases_of_what_is_pushed_are_its_own(self):
+        """The camera is pushed: no run can say when its clock begins."""
+        self.plan("apart", "apart-policy", None)
+        app = json.loads((self.folder / "apart.json").read_text())
+        app["clocks"] = [{"name": "camera", "ppm": 50}]
+        app["sources"][0]["clock"] = "camera"
+        self.write("apart", app)
+        done = self.tool("solve", "apart", "--max-evaluations", 300, "--time-limit", "60s", "--out", self.folder / "apart-policy.json")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        done, _ = self.run_app(1_000_000, "--duration", "1s", "--phases", app="apart", policy="apart-policy")
+        self.assertNotEqual(done.returncode, 0)
+        self.assertIn("all clocks but the first are those of what is pushed or fed", done.stderr)
+        done, run = self.run_app(1_000_000, "--duration", "1s", "--phases", app="apart", policy="apart-policy", polled=["polled"])
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertTrue([note for note in run["notes"] if note.startswith("clock 'camera' began")], run["notes"])
+
     def plan_marks(self, app, by):
         """look.run, due at 4 ms, says whether what it has seen is urgent: then camera.run, due at 18 ms, is due at 8."""
         keys = {"look.run": 4000, **KEYS}
