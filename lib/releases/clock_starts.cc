@@ -8,7 +8,7 @@
 namespace xauto::runtime {
 namespace {
 
-constexpr std::uint64_t kLongestNs = 60'000'000'000;
+constexpr std::uint64_t kLongestNs = 1'000'000'000;  ///< runs are of seconds
 
 /// After which the clock's releases repeat.
 std::uint64_t pattern_ns(const Grid& grid, std::size_t clock) {
@@ -16,7 +16,6 @@ std::uint64_t pattern_ns(const Grid& grid, std::size_t clock) {
   for (const Grid::Source& source : grid.sources) {
     if (source.clock != clock) continue;
     const auto period = static_cast<std::uint64_t>(std::max<std::int64_t>(1, source.period_ns()));
-    // Of both at most an hour in nanoseconds, so the product fits.
     const std::uint64_t times = period / std::gcd(all, period);
     if (all > kLongestNs / times) return kLongestNs;
     all *= times;

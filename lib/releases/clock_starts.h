@@ -21,7 +21,7 @@ struct ClockStart {
 };
 
 /// [clock] The first begins with the run, and is true. Each other one begins within the time after which its sources'
-/// releases repeat, a minute at most, and is as far off as app.json states, slow or fast: both by `seed`.
+/// releases repeat, a second at most, and is as far off as app.json states, slow or fast: both by `seed`.
 [[nodiscard]] std::vector<ClockStart> clocks_apart(const Grid& grid, std::uint64_t seed);
 
 }  // namespace xauto::runtime
