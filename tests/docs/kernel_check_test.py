@@ -5,7 +5,6 @@ import pathlib
 import shutil
 import subprocess
 import tempfile
-import time
 import unittest
 
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
@@ -19,20 +18,16 @@ STAND_INS = {
 
 
 class KernelCheck(unittest.TestCase):
-    def repository(self, **more):
+    def given(self, lane, **environment):
+        """The kernel parameters that a lane's guest is given, in their order."""
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         root = pathlib.Path(folder.name)
         (root / "scripts/vm").mkdir(parents=True)
         shutil.copy(SOURCE / "scripts/kernel-check.sh", root / "scripts")
-        for name, line in {**STAND_INS, **more}.items():
+        for name, line in STAND_INS.items():
             (root / "scripts/vm" / name).write_text(f"#!/bin/sh\n{line}\n")
             (root / "scripts/vm" / name).chmod(0o755)
-        return root
-
-    def given(self, lane, **environment):
-        """The kernel parameters that a lane's guest is given, in their order."""
-        root = self.repository()
         kept = {name: value for name, value in os.environ.items() if name not in ("VM_APPEND", "XAUTO_FULL")}
         done = subprocess.run(["scripts/kernel-check.sh", "build", lane], cwd=root, capture_output=True, text=True,
                               env={**kept, **environment})
@@ -48,24 +43,6 @@ class KernelCheck(unittest.TestCase):
     def test_it_comes_after_the_lanes_own_so_that_it_counts(self):
         given = self.given("kmod-7.x", VM_APPEND="XAUTO_FUZZ=7", XAUTO_FULL="1")
         self.assertEqual([each for each in given if each.startswith("XAUTO_FUZZ")], ["XAUTO_FUZZ=20000", "XAUTO_FUZZ=7"])
-
-    def test_who_helps_has_the_lanes_that_nobody_has_begun(self):
-        vm = 'case $3 in *kmod*) touch began; while [ ! -e helped ]; do sleep 0.05; done;; esac\n' + STAND_INS["run-vm.sh"]
-        root = self.repository(**{"run-vm.sh": vm})
-        command = ["scripts/kernel-check.sh", "build", "kmod-7.x", "at-once-7.x", "machine-7.x", "keys-7.x"]
-        first = subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, text=True)
-        self.addCleanup(first.kill)
-        while not (root / "began").exists():
-            self.assertIsNone(first.poll())
-            time.sleep(0.05)
-        helps = subprocess.run(command, cwd=root, capture_output=True, text=True, env={**os.environ, "XAUTO_HELP": "1"})
-        self.assertEqual((helps.returncode, helps.stdout.splitlines()[-1]), (0, "2 passed, 0 failed, 0 skipped"), helps.stderr)
-        self.assertLess(helps.stdout.index("keys-7.x"), helps.stdout.index("machine-7.x"))
-        (root / "helped").touch()
-        said, _ = first.communicate()
-        self.assertEqual((first.returncode, said.splitlines()[-1]), (0, "2 passed, 0 failed, 0 skipped"), said)
-        late = subprocess.run(command, cwd=root, capture_output=True, text=True, env={**os.environ, "XAUTO_HELP": "1"})
-        self.assertEqual((late.returncode, late.stdout.splitlines()[-1]), (0, "0 passed, 0 failed, 0 skipped"), late.stderr)
 
     def test_by_itself_a_lane_asks_for_nothing(self):
         self.assertEqual(self.given("kmod-7.x"), [])
