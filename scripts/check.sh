@@ -157,7 +157,7 @@ kernel_and_sanitizers() {
   # `builds` has made them, in a process of its own: this only finds that out.
   tsan_build && beside_the_vms tsan_tests
   asan_build && { beside_the_vms fuzzers; beside_the_vms asan_tests; }
-  beside_the_vms heavy
+  heavy # a VM that still runs goes before them
   note "the rest of the VMs, two at a time"
   XAUTO_HELP=1 counted "the rest of the kernel side" scripts/kernel-check.sh build
   joined

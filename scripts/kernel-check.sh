@@ -287,7 +287,7 @@ consumers() {
 
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
-  lanes=(kmod-7.x scx-7.x at-once-7.x machine-7.x keys-7.x together-7.x)
+  lanes=(kmod-7.x at-once-7.x scx-7.x machine-7.x keys-7.x together-7.x)
   [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-6.12-arm64 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12 together-7.x parts-7.x hosts-7.x)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
