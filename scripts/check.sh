@@ -158,8 +158,7 @@ kernel_and_sanitizers() {
   tsan_build && beside_the_vms tsan_tests
   asan_build && { beside_the_vms fuzzers; beside_the_vms asan_tests; }
   heavy # a VM that still runs goes before them
-  note "the rest of the VMs, two at a time"
-  XAUTO_HELP=1 counted "the rest of the kernel side" scripts/kernel-check.sh build
+  note "the rest of the VMs"
   joined
 }
 # For the inner loop: every unit test in the release build, but for the heavy ones.
