@@ -289,7 +289,7 @@ if [ ${#lanes[@]} -eq 0 ]; then
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
-  # One after the other: two emulated machines on two cores stall each other. Those whose time is this machine's come first.
+  # One after the other: two emulated machines on two cores stall each other. In `make check` those whose time is this machine's come first.
   for lane in "${lanes[@]}"; do
     for try in 1 2; do
       "$0" "$build" "$lane" >"$out/$lane.out" 2>&1 && break

@@ -293,7 +293,6 @@ struct Releaser::Periodic {
     const Grid::Source* grid;
     std::uint64_t sequence = 0;
     std::int64_t due_ns = 0;  ///< of its next release, after `start`; kForeverNs: not known yet
-    ClockStart clock = {};
   };
   std::vector<Source> sources = {};
   std::int64_t start = 0;      ///< of the grid
@@ -307,6 +306,7 @@ Releaser::Periodic Releaser::begin_periodic() {
   Periodic run;
   std::int64_t slowest_ns = 1;
   phases_.resize(context_.grid.clock_ppm.size());
+  starts_.resize(context_.grid.clock_ppm.size());
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     if (context_.graph.topics[t].source < 0) continue;
     const Grid::Source& grid =
@@ -331,34 +331,32 @@ Releaser::Periodic Releaser::begin_periodic() {
   return run;
 }
 
-/// To who starts early. Of a clock that is off the next release is not known to the nanosecond.
+/// To who starts early. What a clock that is off releases is told one by one, as what is pushed.
 void Releaser::tell_first_releases(const Periodic& run) {
   EarlyStart* early = wiring_.early_start();
   if (early == nullptr) return;
   for (const Periodic::Source& s : run.sources) {
+    const ClockStart& clock = starts_[s.grid->clock];
     if (phases_[s.grid->clock] != nullptr) continue;
-    if (s.clock.ppm == 0 && s.clock.phase_ns == 0)
-      early->due(s.grid->number, run.start);
+    if (clock.ppm == 0)
+      early->due(s.grid->number, run.start + clock.phase_ns);
     else
-      early->released(s.grid->number, 0, run.start + s.clock.due_ns(s.grid->due_ns(0)));
+      early->released(s.grid->number, 0, run.start + clock.due_ns(s.grid->due_ns(0)));
   }
 }
 
 /// `--phases`. Who is pushed or fed has a phase of its own.
-Status Releaser::set_clocks_apart(Periodic& run) {
+Status Releaser::set_clocks_apart(const Periodic& run) {
   if (!context_.session.releases.phases) return {};
-  const std::vector<ClockStart> starts =
-      clocks_apart(context_.grid, context_.session.releases.seed);
+  starts_ = clocks_apart(context_.grid, context_.session.releases.seed);
   std::set<std::size_t> told;
-  for (Periodic::Source& s : run.sources) {
+  for (const Periodic::Source& s : run.sources) {
     const std::size_t c = s.grid->clock;
-    if (c == 0 || phases_[c] != nullptr) continue;
-    s.clock = starts[c];
-    if (!told.insert(c).second) continue;
+    if (c == 0 || phases_[c] != nullptr || !told.insert(c).second) continue;
     notes_.push_back(fmt::format("clock '{}' began {:.3f} ms after the run, {} ppm {} (--phases)",
                                  context_.session.app.clocks[c].name,
-                                 static_cast<double>(s.clock.phase_ns) / 1e6, std::abs(s.clock.ppm),
-                                 s.clock.ppm < 0 ? "fast" : "slow"));
+                                 static_cast<double>(starts_[c].phase_ns) / 1e6,
+                                 std::abs(starts_[c].ppm), starts_[c].ppm < 0 ? "fast" : "slow"));
   }
   if (!told.empty()) return {};
   return fail(ErrorCode::kInvalid,
@@ -373,7 +371,7 @@ bool Releaser::find_next(Periodic& run) const {
   for (Periodic::Source& s : run.sources) {
     const auto& phase = phases_[s.grid->clock];
     if (phase == nullptr)
-      s.due_ns = s.clock.due_ns(s.grid->due_ns(s.sequence));
+      s.due_ns = starts_[s.grid->clock].due_ns(s.grid->due_ns(s.sequence));
     else
       s.due_ns = phase->base_ns() ? *phase->base_ns() - run.start + s.grid->due_ns(s.sequence)
                                   : kForeverNs;
@@ -604,7 +602,7 @@ void Releaser::tell_early_start(const Sample& sample) {
   EarlyStart* early = wiring_.early_start();
   const Grid::Source& source = context_.grid.sources[static_cast<std::size_t>(
       context_.graph.topics[static_cast<std::size_t>(sample.topic)].source)];
-  if (early != nullptr && phases_[source.clock] != nullptr)
+  if (early != nullptr && (phases_[source.clock] != nullptr || starts_[source.clock].ppm != 0))
     early->released(source.number, sample.sequence, sample.nominal_ns);
 }
 

@@ -77,7 +77,7 @@ class Releaser {
   [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
   [[nodiscard]] Periodic begin_periodic();
-  [[nodiscard]] Status set_clocks_apart(Periodic& run);
+  [[nodiscard]] Status set_clocks_apart(const Periodic& run);
   void tell_first_releases(const Periodic& run);
   [[nodiscard]] bool find_next(Periodic& run) const;
   [[nodiscard]] Result<bool> take_turn(Periodic& run, std::int64_t& due_ns);
@@ -133,6 +133,7 @@ class Releaser {
   /// [clock] of what is pushed in a run by keys; null: everything of it is released by us.
   std::vector<std::unique_ptr<ClockPhase>> phases_;
   std::vector<ClockPhase::Stream> streams_;  ///< [source]
+  std::vector<ClockStart> starts_;           ///< [clock] of what we release
 };
 
 }  // namespace xauto::runtime

@@ -179,9 +179,10 @@ class OneRate(Case):
         self.assertEqual(app["sources"][0]["jitter_us"], jitter)
         # Where the machine stood still in a job, its WCET is one that no policy keeps up with.
         for xnode in app["xnodes"]:
-            xnode["wcet_us"] = {on: min(us, 5000) for on, us in xnode["wcet_us"].items()}
-            xnode.pop("typical_us", None)
-        (self.folder / "app.json").write_text(json.dumps(app))
+            if max(xnode["wcet_us"].values()) > 5000:
+                xnode["wcet_us"] = {on: min(us, 5000) for on, us in xnode["wcet_us"].items()}
+                xnode.pop("typical_us", None)
+                (self.folder / "app.json").write_text(json.dumps(app))
         files = ("--app", "app.json", "--platform", "small")
         self.good("solve", *files, "--out", "policy.json")
         policy = self.read("policy.json")

@@ -78,8 +78,8 @@ void RunFlags::declare(Verb verb) {
   verb.option("--input", input, "recorded input to replay instead of the app's own messages");
   verb.flag("--lockstep", lockstep, "release the next message when the last one has drained");
   verb.flag("--phases", phases,
-            "clocks begin at random phases, and are as far off as app.json says; otherwise all "
-            "begin at once")
+            "clocks of polled sources begin at random phases, and are as far off as app.json says; "
+            "otherwise all of them begin at once")
       .excludes("--period")
       .excludes("--input")
       .excludes("--lockstep");
